@@ -48,7 +48,7 @@ def opened(browser: Any, address: str, *, width: int = 1300, scripts: bool = Tru
     page.goto(address)
     try:
         yield page
-        assert page.faults == []
+        assert page.faults == [], page.faults
     finally:
         context.close()
 

@@ -205,6 +205,12 @@ def history_of(line: Line) -> SqliteTable | PostgresTable:
     url = line.history_url
     if url is None:
         raise ConfigurationError(f"{line.path}: the line keeps no history", hint="take `history: null` out")
-    if url.startswith("sqlite:") and not Path(url.removeprefix("sqlite:")).exists():
+    if not begun(line):
         raise OutputError(f"{url}: nothing has been measured yet", hint="`roemetry serve` makes it")
     return connect(url)
+
+
+def begun(line: Line) -> bool:
+    """Say whether a line that keeps a history may have one already: the first product makes it."""
+    url = line.history_url
+    return url is None or not url.startswith("sqlite:") or Path(url.removeprefix("sqlite:")).exists()

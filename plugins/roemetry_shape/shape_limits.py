@@ -76,7 +76,8 @@ class ShapeLimits(Classifier[ShapeLimitsOptions]):
             broken = _broken(limit, value)
             if broken:
                 return Grade(limit.label, features=features, reasons=(Reason("limit-broken", broken),))
-        within = f"within {len(self.options.limits)} limits"
+        count = len(self.options.limits)
+        within = f"within {count} {'limit' if count == 1 else 'limits'}"
         return Grade(self.options.good, features=features, reasons=(Reason("within-limits", within),))
 
 

@@ -238,7 +238,7 @@ def stripe_geometry(space: Space) -> PlanTable:
             PlanColumn("spacing-height", "unambiguous height range", "mm", space.spacing_heights_mm, 2),
             PlanColumn("highest-in-view", "in view up to", "mm", space.in_view_mm, 1),
         ),
-        "At the plan's Y. Height of one spacing: where the stripe appears at its neighbour's place on the "
+        "At the plan's Y. Unambiguous height range: where the stripe appears at its neighbour's place on the "
         "belt; the last stripe on that side has no neighbour.",
     )
 
@@ -348,7 +348,7 @@ def numbers(space: Space, bodies: Bodies | None) -> tuple[PlanTable, PlanCurves,
     return (
         table,
         PlanCurves("volume-error", "Volume error of the sum of slices", over, errors, basis, count, True),
-        PlanCurves("price", "Height of one spacing", over, (price,), costs, count),
+        PlanCurves("price", "Unambiguous height range", over, (price,), costs, count),
     )
 
 
@@ -360,7 +360,7 @@ def over_x(space: Space) -> PlanCurves:
     ways = [meeting_height_mm(rig.camera, rig.laser, x, x + way * spacing, space.y_mm) for way in (1.0, -1.0)]
     return PlanCurves(
         "spacing-height",
-        "Height of one spacing over X",
+        "Unambiguous height range over X",
         PlanColumn("x", "X on the belt", "mm", x),
         (PlanColumn("height", "height", "mm", np.fmin(*ways), 2),),
         f"For stripes {spacing:.2f} mm apart everywhere; the table has each stripe's own.",

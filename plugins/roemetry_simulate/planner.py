@@ -338,7 +338,9 @@ def _sketch(space: Space) -> tuple[PlanShape, ...]:
     ]
     if np.isfinite(space.spacing_height_mm):
         z = space.spacing_height_mm
-        shapes.append(PlanShape("level", np.array([[low[0], z], [low[1], z]]), f"one spacing: {z:.1f} mm"))
+        shapes.append(
+            PlanShape("level", np.array([[low[0], z], [low[1], z]]), f"unambiguous below {z:.1f} mm")
+        )
     return (
         *shapes,
         PlanShape("camera", eye[None], "camera"),

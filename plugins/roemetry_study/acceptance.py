@@ -145,12 +145,13 @@ def decide(values: Sequence[Value], limits_mm: dict[str, float]) -> tuple[Outcom
         decision = (
             "accepted" if size <= limit - guard else "rejected" if size > limit + guard else "undecided"
         )
+        count = "1 value" if len(mine) == 1 else f"{len(mine)} values"
         words = (
             f"{CHARACTERISTICS[name]}: {decision}: largest error {worst.error_mm:+.4f} mm ({worst.what}), "
-            f"limit {limit:g} mm, guard band {guard:.4f} mm, {len(mine)} values"
+            f"limit {limit:g} mm, guard band {guard:.4f} mm, {count}"
         )
         if len(mine) < WANTED[name]:
-            words += f"; {WANTED[name]} are asked for"
+            words += f" of {WANTED[name]} recommended"
         outcomes.append(Outcome(name, limit, worst, len(mine), decision, words))
     return tuple(outcomes)
 

@@ -182,13 +182,13 @@ def _words(
     ]
     if math.isfinite(interval[1]) and _verdict(interval[0]) != _verdict(interval[1]):
         words.append(
-            "the interval reaches into another verdict: more parts or operators would tell "
+            "the interval extends into another verdict: more parts or operators would settle it "
             "(`roemetry study plan`)"
         )
     if _categories(found.std) < CATEGORIES_NEEDED:
         words.append(
-            f"it tells {_categories(found.std)} categories of these parts apart; "
-            f"{CATEGORIES_NEEDED} are asked for"
+            f"it distinguishes {_categories(found.std)} categories of these parts; "
+            f"{CATEGORIES_NEEDED} are required"
         )
     if math.isfinite(tolerance):
         words.append(f"precision to tolerance: {100.0 * SPREAD * found.std['gauge'] / tolerance:.1f} %")

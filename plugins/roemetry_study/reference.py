@@ -160,11 +160,11 @@ def type_one(table: StudyTable, tolerance: float) -> TypeOne:
     low, high = (math.sqrt(chi2.ppf(q, n - 1) / (n - 1)) for q in (0.025, 0.975))
     half = norm.ppf(0.5 + 0.5 * PROBABILITY) * math.sqrt(1.0 / (9.0 * n) + cgk**2 / (2.0 * (n - 1)))
     verdict = "capable" if min(cg, cgk) >= CAPABLE else "not capable"
-    words = [f"{verdict}: Cg {cg:.2f} (0.2 T / 6 s), Cgk {cgk:.2f}; {CAPABLE} are asked for"]
+    words = [f"{verdict}: Cg {cg:.2f} (0.2 T / 6 s), Cgk {cgk:.2f}; at least {CAPABLE} is required"]
     if bias.significant:
         words.append(f"bias {bias.bias:+.4g} is significant (95 %: {bias.low:+.4g} to {bias.high:+.4g})")
     if n < READINGS_WANTED:
-        words.append(f"{n} readings; {READINGS_WANTED} are asked for")
+        words.append(f"{n} of {READINGS_WANTED} recommended readings")
     return TypeOne(
         part,
         references[part],

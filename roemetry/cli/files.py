@@ -111,7 +111,7 @@ def _dataset(path: Path) -> None:
     if faults:
         raise DataError(f"{path}: {faults} faults", hint="make the data set again, or restore its files")
     items = sum(1 for _ in data.items())
-    typer.echo(f"{path}: a data set of {items} items, {data.description.licence}: sound")
+    typer.echo(f"{path}: a data set of {_many(items, 'item')}, {data.description.licence}: sound")
 
 
 class CalibrationImages(StrEnum):
@@ -193,4 +193,9 @@ def simulate(
             on_progress=on_progress,
         )
     were = f", {made.kept} of them were there" if made.kept else ""
-    typer.echo(f"{made.folder}: {made.items} items{were}, {made.views} calibration images")
+    items, views = _many(made.items, "item"), _many(made.views, "calibration image")
+    typer.echo(f"{made.folder}: {items}{were}, {views}")
+
+
+def _many(count: int, thing: str) -> str:
+    return f"{count} {thing}" if count == 1 else f"{count} {thing}s"

@@ -120,9 +120,9 @@ def said_of(part: OpenPart, product: Product) -> Reason | None:
     )
     if part.share > SHARE_MAX:
         return Reason("undecided", f"{where}: no number would be honest")
-    return Reason(
-        "ambiguous", f"{where}; that widens the volume's uncertainty by {widened_by(part, product):.1%}"
-    )
+    wider = widened_by(part, product)
+    by = f"{wider:.1%}" if wider >= 0.0005 else "less than 0.1%"
+    return Reason("ambiguous", f"{where}; that widens the volume's uncertainty by {by}")
 
 
 def widened_by(part: OpenPart, product: Product) -> float:

@@ -1,18 +1,31 @@
-"""Every kind of page of every shipped recipe, in a real browser: no script error, nothing overflows."""
+"""Every kind of page, reports and comparisons of every shipped recipe, in a real browser: no script error,
+nothing overflows, contrast, keyboard, print."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import shutil
+import socket
+import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
 import typer
 
+from benchmarks.scans import recipe_of, scene, true_calibration
 from roemetry import Recipe, run_recipe
-from roemetry.cli.calibration import calibrate
+from roemetry.cli.calibration import calibrate, check_calibration
+from roemetry_line.line_file import Line
+from roemetry_line.outbox import NewRow, Outbox
+from roemetry_line.page.server import serve_page
+from roemetry_study.commands import accept, gauge
+from roemetry_study.commands import calibration as certify
 from roemetry_tools.compare import compare
+from roemetry_tools.plan import plan
 from tests.browser import opened, served
 
 HOME = Path(__file__).resolve().parents[2] / "recipes"
@@ -21,6 +34,7 @@ RECIPES += ["herring_roe/by_words.yaml", "herring_roe/with_outline.yaml"]
 RIGS = ["bread_roll/rig.yaml", "egg/rig.yaml", "herring_roe/boards.yaml"]
 """One for each way to calibrate."""
 
+FRUSTUM = {"length_mm": 40, "width_mm": 30, "top_share": 0.5, "height_mm": 12}
 PRODUCTS = 2
 WIDTHS = (1300, 420)
 """A desk's and a telephone's, px."""
@@ -110,13 +124,23 @@ def recipe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
             image.unlink()
     if (items := folder / "items.jsonl").exists():
         items.write_text("".join(items.read_text("utf-8").splitlines(keepends=True)[:PRODUCTS]), "utf-8")
-    return folder / (name or "recipe.yaml")
+    file: Path = folder / (name or "recipe.yaml")
+    return file
 
 
 def assert_fits(page: Any, address: str) -> None:
     found = page.evaluate(OVERFLOW)
     found += page.evaluate(UNREACHABLE)
     assert found == [], f"{address}: {found[:5]}"
+
+
+def assert_prints(browser: Any, page_file: Path) -> None:
+    """A page without controls of its own, at both widths."""
+    for width in WIDTHS:
+        with opened(browser, page_file.as_uri(), width=width) as page:
+            assert_fits(page, page_file.name)
+    with opened(browser, page_file.as_uri()) as page:
+        assert len(page.pdf()) > 10_000
 
 
 @pytest.fixture(scope="module")
@@ -187,8 +211,9 @@ def test_a_tuning_page_answers(browser: Any, recipe: Path, width: int) -> None:
 
 @pytest.mark.parametrize("rig", RIGS)
 def test_a_calibration_page_prints(browser: Any, tmp_path: Path, rig: str) -> None:
-    path = tmp_path / "calibration.html"
-    calibrate(HOME / rig, out=tmp_path / "calibration.yaml", report=path)
+    path, doctor = tmp_path / "calibration.html", tmp_path / "doctor.html"
+    calibrate(HOME / rig, out=tmp_path / "calibration.yaml", report=path, doctor=doctor)
+    assert_prints(browser, doctor)
     for width in WIDTHS:
         with opened(browser, path.as_uri(), width=width) as page:
             assert_fits(page, rig)
@@ -198,3 +223,67 @@ def test_a_calibration_page_prints(browser: Any, tmp_path: Path, rig: str) -> No
                 page.keyboard.press("ArrowLeft")
                 assert space.inner_html() != before
             assert len(page.pdf()) > 10_000
+
+
+@pytest.mark.parametrize("line", ["herring_roe", "potato"])
+def test_a_plan_prints(browser: Any, tmp_path: Path, line: str) -> None:
+    plan(HOME / line, out=tmp_path / "plan.html")
+    assert_prints(browser, tmp_path / "plan.html")
+
+
+def test_certificates_and_a_control_chart_print(browser: Any, tmp_path: Path) -> None:
+    home = HOME / "herring_roe"
+    gauge([home / "studies" / "heads.csv"], "visible_cm3", by="head", tolerance=4.0, out=tmp_path)
+    accept(home / "acceptance.yaml", out=tmp_path)
+    certify(home / "calibration.yaml", out=tmp_path)
+    chart, block = tmp_path / "line.sqlite", home / "calibration" / "block.png"
+    check_calibration(home, block, chart=chart, report=tmp_path / "chart.html")
+    pages = sorted(tmp_path.glob("*.html"))
+    assert [page.stem for page in pages] == ["acceptance", "calibration", "chart", "gauge"]
+    for page in pages:
+        assert_prints(browser, page)
+
+
+def test_a_report_of_a_scan_prints(browser: Any, tmp_path: Path) -> None:
+    sim = scene(160, 160, family="truncated-pyramid", product=FRUSTUM, counts_per_line=50)
+    made = sim.simulate(0, 1)
+    assert made.counts is not None
+    cv2.imwrite(str(tmp_path / "scan.png"), made.frames[0].pixels)
+    counts = "".join(f"{count},{k}\n" for k, count in enumerate(made.counts))
+    (tmp_path / "scan.csv").write_text(f"encoder_count,frame_number\n{counts}", "utf-8")
+    recipe = recipe_of(true_calibration(sim), tmp_path, sinks=["report"])
+    run_recipe(recipe, tmp_path / "run")
+    assert_prints(browser, tmp_path / "run" / "report.html")
+
+
+def test_the_page_of_a_line_shows_its_last_product(browser: Any, line: Callable[..., Path]) -> None:
+    file = line().parent / "line.yaml"
+    file.write_text(
+        "roemetry_line: 1\nname: line-1\nfolder: data\n"
+        "stations: [{name: one, recipe: recipe.yaml, feed: folder-watch}]\npage: {port: 0}\n",
+        "utf-8",
+    )
+    loaded = Line.load(file)
+    assert loaded.page is not None
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    section = loaded.page.model_copy(update={"port": port})
+    outbox = Outbox(loaded.folder)
+    outbox.raise_alarm("one", "camera", "the camera is gone")
+    summary = {"id": "p01#1", "status": "measured", "grade": "good", "decision": None, "lane": None,
+               "late": 0, "mass_g": 20.5, "mass_std_g": 0.4, "volume_mm3": 20_100.0, "height_mm": 9.0,
+               "reason": None}  # fmt: skip
+    outbox.put([NewRow("p01", "one", "run-1", "product", summary, "p01 good")])
+    stop = threading.Event()
+    serving = threading.Thread(target=lambda: asyncio.run(serve_page(loaded, section, stop)))
+    serving.start()
+    try:
+        for width in WIDTHS:
+            with opened(browser, f"http://127.0.0.1:{port}/", width=width) as page:
+                page.get_by_text("the camera is gone").wait_for()
+                page.get_by_text("20.50 ± 0.40").wait_for()
+                assert_fits(page, "line")
+                assert len(page.pdf()) > 10_000
+    finally:
+        stop.set()
+        serving.join(20)

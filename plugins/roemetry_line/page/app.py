@@ -140,8 +140,8 @@ class LinePage:
         path = picture_file(self._line.folder, self._known(request))
         try:
             return Response(path.read_bytes(), media_type="application/json")
-        except OSError as error:
-            raise RefusedError(_UNKNOWN, "there is no picture yet") from error
+        except OSError:
+            return Response(status_code=204)  # none yet
 
     async def _spooled(self, request: Request) -> Response:
         given = request.path_params
@@ -166,6 +166,8 @@ class LinePage:
         return JSONResponse(await run_in_threadpool(self._charted, station, figure, since_s))
 
     def _charted(self, station: str, figure: history.Figure, back_s: float) -> dict[str, Any]:
+        if not history.begun(self._line):
+            return history_page.told({}, {})
         table = history.history_of(self._line)
         try:
             since_s = time.time() - back_s

@@ -33,7 +33,8 @@ def listening(page: PageSection) -> socket.socket:
         ) from error
 
 
-async def _run(line: Line, page: PageSection, stop: threading.Event) -> None:
+async def serve_page(line: Line, page: PageSection, stop: threading.Event) -> None:
+    """Serve the page until asked to stop."""
     shown = LinePage(line, Outbox(line.folder), Users(line.folder))
     hosts = list(page.hosts)
     config = uvicorn.Config(
@@ -58,7 +59,7 @@ def main() -> int:
     stop = until_asked()
     line = Line.load(Path(sys.argv[1]), with_recipes=False)
     if line.page is not None:
-        asyncio.run(_run(line, line.page, stop))
+        asyncio.run(serve_page(line, line.page, stop))
     return 0
 
 

@@ -251,7 +251,7 @@ _MEASURED = (
 )
 _VERDICTS = (("visible volume", "volume_visible"), ("true volume", "volume_true"), ("weight", "weight"))
 _STRIPES = (
-    ("coded\nright %", "coding_right_pct", "share"),
+    ("labelled\nright %", "coding_right_pct", "share"),
     ("wrong\n%", "coding_wrong_pct", "share"),
     ("wrong\nrun", "coding_longest_wrong_run_rows", "d"),
     ("centre\nbias px", "centre_bias_px", "+.3f"),
@@ -358,9 +358,9 @@ def _led(leader: Leader) -> str:
     )
     if leader.is_sure:
         return f"winner: `{leader.best.name}`: {error}; {leader.specimens} products are enough to decide"
-    needed = f"; about {leader.specimens_needed} may be" if leader.specimens_needed else ""
+    needed = f", about {leader.specimens_needed} would be" if leader.specimens_needed else ""
     return (
-        f"no clear winner; ahead is `{leader.best.name}`: {error}; {leader.specimens} products are not "
+        f"no clear winner; `{leader.best.name}` is ahead: {error}; {leader.specimens} products are not "
         f"enough to decide{needed}"
     )
 

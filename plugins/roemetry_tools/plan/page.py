@@ -87,6 +87,7 @@ def as_plain(plan: Plan) -> dict[str, Any]:
 COLOURS = ("#0d689c", "#d98a12", "#2c8a5f", "#8a6fd1")
 
 _RAMP = ("#fdf6d8", "#f9d48b", "#f2a65e", "#dd7360", "#b04a70", "#73346f", "#3a1f55")
+_NAME_HEIGHT = 15.0  # of a line of text
 _SIDE_WIDTH = 900.0  # of the side view, in units of the drawing
 
 
@@ -94,7 +95,7 @@ def side_view(sketch: Sequence[PlanShape]) -> Markup:
     """Draw the rig to scale, X to the right, Z up, the same millimetres both ways."""
     points = np.vstack([one.points_mm for one in sketch])
     (x_low, z_low), (x_high, z_high) = points.min(axis=0), points.max(axis=0)
-    left, top, right, bottom = 52.0, 26.0, 132.0, 44.0
+    left, top, right, bottom = 52.0, 26.0, 176.0, 44.0
     per_mm = (_SIDE_WIDTH - left - right) / (x_high - x_low)
     height = top + bottom + per_mm * (z_high - z_low)
     x_axis = Axis(x_low, x_high, left, _SIDE_WIDTH - right)
@@ -110,8 +111,9 @@ def side_view(sketch: Sequence[PlanShape]) -> Markup:
         text(0.5 * (left + _SIDE_WIDTH - right), height - 6, "X, mm"),
         text(left - 9, 14, "Z, mm", "end"),
     ]
+    named: list[float] = []
     for one in sketch:
-        body += _part(one, x_axis, z_axis)
+        body += _part(one, x_axis, z_axis, named)
     return picture(body, height, "The rig from the side, to scale", _SIDE_WIDTH)
 
 
@@ -191,12 +193,20 @@ def curves_plot(one: PlanCurves) -> Markup:
     return picture(body, bottom + 42, one.title)
 
 
-def _part(one: PlanShape, x_axis: Axis, z_axis: Axis) -> list[Markup]:
+def _part(one: PlanShape, x_axis: Axis, z_axis: Axis, named: list[float]) -> list[Markup]:
+    """Draw a part; `named` are the places of the names of heights, of which none covers another."""
+
+    def beside(y: float) -> float:
+        named.append(
+            max([y + 4, *(other + _NAME_HEIGHT for other in named if abs(other - y - 4) < _NAME_HEIGHT)])
+        )
+        return named[-1]
+
     at = [(x_axis(float(x)), z_axis(float(z))) for x, z in one.points_mm]
     words = one.label
     if one.kind in ("view", "range"):
         body = [shape(at, one.kind)]
-        return [*body, text(at[1][0] + 34, at[2][1] + 4, words, "start name")] if words else body
+        return [*body, text(at[1][0] + 34, beside(at[2][1]), words, "start name")] if words else body
     if one.kind in ("camera", "projector"):
         ((x, y),) = at
         down = [
@@ -211,8 +221,10 @@ def _part(one: PlanShape, x_axis: Axis, z_axis: Axis) -> list[Markup]:
         return [shape(down, one.kind), text(x + 19, y - 3, words, "start name")]
     body = [line(*at[0], *at[1], one.kind)]
     if words:
-        x, kind = (at[1][0] + 6, "start name") if one.kind == "belt" else (at[1][0] + 34, "start")
-        body.append(text(x, at[1][1] + 4, words, kind))
+        if one.kind == "belt":
+            body.append(text(at[1][0] + 6, at[1][1] + 4, words, "start name"))
+        else:
+            body.append(text(at[1][0] + 34, beside(at[1][1]), words, "start"))
     return body
 
 

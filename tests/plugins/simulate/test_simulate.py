@@ -147,8 +147,8 @@ def test_the_command_line_makes_lints_and_says(scene: Path, tmp_path: Path) -> N
     out = str(tmp_path / "set")
     made = run(app, ["simulate", str(scene), "--out", out, "-n", "1", "-j", "1", "--product", "none"])
     assert made.exit_code == 0, made.output
-    assert "1 items, 2 calibration images" in made.output
-    assert "a data set of 1 items" in run(app, ["lint", out]).output
+    assert "1 item, 2 calibration images" in made.output
+    assert "a data set of 1 item, " in run(app, ["lint", out]).output
     assert "sound" in run(app, ["lint", str(scene)]).output
     truth = Dataset(Path(out)).truth(next(iter(Dataset(Path(out)).items())))
     assert truth.products == ()

@@ -132,7 +132,7 @@ def test_guard_bands_stand_on_both_sides_of_the_limit(error: float, decision: st
     (outcome,) = decide([Value("step", "s", 10.0 - error, 10.0, 0.01)], {"step": 0.1})
     assert outcome.decision == decision
     assert overall([outcome]) == decision
-    assert "5 are asked for" in outcome.words
+    assert "of 5 recommended" in outcome.words
     with pytest.raises(DataError, match="no artefact shows it"):
         decide([Value("step", "s", 1.0, 1.0, 0.01)], {"form": 0.1})
 

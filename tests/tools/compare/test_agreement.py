@@ -217,7 +217,7 @@ def led(errors_pct: Sequence[float], lead: float, rng: np.random.Generator) -> l
     ("products", "lead", "says"),
     [
         (12, 1.0, "winner: `v0`: mean absolute error of the visible volume"),
-        (5, 1.0, "no clear winner; ahead is `v0`"),
+        (5, 1.0, "no clear winner; `v0` is ahead"),
         (12, 1e-4, "products are not enough to decide"),
     ],
 )

@@ -19,7 +19,7 @@ def test_verdicts_intervals_and_classes_reach_every_file(dataset, tmp_path, caps
     words = [path, "--vary", vary, "--out", out, "--tolerance", "5", "--folds", "2", "--seed", "4"]
     assert roemetry(*words) == 0
     printed = capsys.readouterr().out
-    assert printed.startswith("no clear winner; ahead is `recipe`: mean absolute error of the weight")
+    assert printed.startswith("no clear winner; `recipe` is ahead: mean absolute error of the weight")
     assert "warning: 6 products" in printed
     assert "weight beside the recipe's, tolerance 5 %: different" in printed
     told = json.loads((out / "comparison.json").read_text("utf-8"))

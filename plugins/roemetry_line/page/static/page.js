@@ -79,8 +79,9 @@ async function showPicture(station) {
   if (!key || key === shown) return;
   shown = key;
   const answer = await fetch(`/picture/${station.name}`);
-  if (!answer.ok) return;
+  if (answer.status !== 200) return;
   const overlay = await answer.json();
+  by("image").parentElement.hidden = false;
   by("image").src = `data:image/jpeg;base64,${overlay.jpeg}`;
   by("caption").textContent = `image ${overlay.acquisition}`;
   const svg = by("overlay");
@@ -98,13 +99,13 @@ function showHealth(state, station) {
   const rows = [["station", station.state, kind],
     ["last sign of the camera", station.frame_age_s === null ? "none" : `${station.frame_age_s.toFixed(1)} s ago`,
       station.frame_age_s < 3 ? "good" : "bad"],
-    ["frames", f.frames], ["lost", f.lost, f.lost ? "bad" : ""], ["not whole", f.incomplete, f.incomplete ? "bad" : ""],
+    ["frames", f.frames], ["lost", f.lost, f.lost ? "bad" : ""], ["incomplete", f.incomplete, f.incomplete ? "bad" : ""],
     ["late" + (station.deadline_ms ? ` (over ${station.deadline_ms} ms)` : ""), f.late, f.late ? "bad" : ""],
     ["time to result, ms", mean === null ? "" : `${mean.toFixed(1)} (worst ${f.latency_ms_worst.toFixed(0)})`],
     ["light of the stripes, % of white", number(f.laser_percent, 0), f.laser_percent === 0 ? "bad" : ""],
     ["waiting frames", f.queue], ["free on disk, GB", number(f.disk_free_gb, 1)]];
   for (const one of state.outlets)
-    rows.push([`to ${one.name}`, one.state + (one.waiting ? `, ${one.waiting} wait` : ""),
+    rows.push([`to ${one.name}`, one.state + (one.waiting ? `, ${one.waiting} waiting` : ""),
       one.state === "connected" ? "good" : "bad"]);
   list("health", rows.map(([a, b, c]) => [a, b === undefined ? "" : String(b), c]));
 }
