@@ -280,7 +280,8 @@ class Rounds:
         images = ROOT / "recipes" / "herring_roe" / "images"
         text = LINE.format(folder=self.data / "line", recipe=recipe, rate=rate, images=images)
         text += NETWORK_CAMERA.format(recipe=recipe) if self.camera else ""
-        mqtt = f"  - {{name: broker, use: mqtt, options: {{port: {port['mqtt']}, topic: bench, timeout_s: 2}}}}\n"
+        options = f"{{port: {port['mqtt']}, topic: bench, timeout_s: 2}}"
+        mqtt = f"  - {{name: broker, use: mqtt, options: {options}}}\n"
         text += REST.format(
             tcp=port["tcp"], page=port["page"], broker=mqtt if self.broker else "",
             history=self.database.url if self.database else "sqlite:history.sqlite",
@@ -482,8 +483,10 @@ def faults(rounds: int, rate: float, recipe: Path, seed: int, folder: Path) -> i
 
 def _broken(line: Rounds, rounds: int, seed: int, notes: Path) -> dict[str, int]:
     """Break what is to be broken, round by round; give what is wrong with the rows then."""
-    until_s = time.monotonic() + 120.0
-    while not line.well() and time.monotonic() < until_s:
+    until_s = time.monotonic() + 300.0
+    while not line.well():
+        if time.monotonic() > until_s:
+            raise SystemExit(line.log.read_text())
         time.sleep(0.1)
     names = list(line.faults)
     done = len(notes.read_text().splitlines()) if notes.exists() else 0

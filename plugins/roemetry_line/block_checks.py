@@ -7,6 +7,7 @@ begins, so that its rows carry what the check found.
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 from collections.abc import Callable
@@ -42,7 +43,9 @@ def _chart_path(recipe: Recipe, folder: Path, station: str) -> Path:
 def said_of(check: Check) -> str:
     """Say in one line what a check found."""
     lengths = ", ".join(
-        f"{name.removesuffix('_mm')} {q.value:.3f} mm (expected {q.expected:.3f} ± {2 * q.std:.3f})"
+        f"{name.removesuffix('_mm')} not measured"
+        if math.isnan(q.value)
+        else f"{name.removesuffix('_mm')} {q.value:.3f} mm (expected {q.expected:.3f} ± {2 * q.std:.3f})"
         for name, q in ((name, check.quantity(name)) for name in QUANTITIES)
     )
     return f"{check.target} {check.verdict}: {lengths}"

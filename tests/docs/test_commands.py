@@ -39,6 +39,7 @@ NOT_RUN = {
     r"roemetry init (?!.*--image 320x240)": "renders for a minute: smaller in test_init_project.py",
     r"roemetry tune ": "serves until it is stopped",
     r"roemetry (serve|history) ": "serves until it is stopped: whole lines run in tests/plugins/line",
+    r"roemetry doctor line.yaml": "tries a camera and a broker: tested in tests/plugins/line",
     r"roemetry run \S+ --out \S+ --resume": "goes on with a run that was stopped: tested with real kills",
     r"roemetry simulate .*--resume": "goes on with a set that was stopped: tested with real kills",
     r"roemetry simulate .*--out skeins": "a set of that name lies there already, in full size",

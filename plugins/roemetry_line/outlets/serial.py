@@ -25,7 +25,9 @@ class SerialOptions(LineOptions):
     baud: Literal[9600, 19200, 38400, 57600, 115200, 230400] = Field(
         default=115200, description="bits in a second, as the receiver has them"
     )
-    parity: Literal["none", "even", "odd"] = Field(default="none", description="parity bit")
+    parity: Literal["none", "even", "odd"] = Field(
+        default="none", description="the parity bit, as the receiver has it"
+    )
 
 
 class Serial(Outlet[SerialOptions]):

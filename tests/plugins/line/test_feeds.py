@@ -1,4 +1,4 @@
-"""Frames as cameras give them: whole or not, of another size, with numbers that wrap; and what they refuse."""
+"""Frames as cameras give them: whole or not, of another size, with numbers that wrap; what they refuse."""
 
 from __future__ import annotations
 
@@ -115,8 +115,10 @@ def tried(line):
     [
         ("basler", "emulated: true\n        nodes:\n          Widht: 3",
          r"line\.yaml:12:11: the camera has no node `Widht`", "did you mean `Width`"),
-        ("basler", "emulated: true\n        nodes: {Width: 9999999}", r"line\.yaml:11:17: the camera refuses Width", ""),
-        ("basler", "emulated: true\n        serial: none-such", r"line\.yaml:7:5: there is no camera none-such", "plugged"),
+        ("basler", "emulated: true\n        nodes: {Width: 9999999}",
+         r"line\.yaml:11:17: the camera refuses Width", ""),
+        ("basler", "emulated: true\n        serial: none-such",
+         r"line\.yaml:7:5: there is no camera none-such", "plugged"),
         ("aravis", "emulated: true\n        nodes: {Widht: 3}",
          r"line\.yaml:11:17: the camera has no node `Widht`", "did you mean `Width`"),
         ("genicam", "producer: other.cti", r"line\.yaml:10:9: .*other\.cti: cannot be loaded", "processor"),

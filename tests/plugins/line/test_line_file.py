@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from typer.testing import CliRunner
 
+from roemetry.cli.main import app
 from roemetry.errors import ConfigurationError
+from roemetry.io.files import exclusive
 from roemetry_line.line_file import Line
+from roemetry_line.outbox import Outbox
 
 LINE = """\
 roemetry_line: 1
@@ -76,3 +80,44 @@ def test_all_faults_are_told_at_once(at) -> None:
     with pytest.raises(ConfigurationError) as caught:
         Line.load(path)
     assert len(caught.value.faults) == 2
+
+
+def test_the_doctor_tries_what_a_line_names(at) -> None:
+    path = at(
+        "  - {name: plc, use: tcp, options: {port: 9100}}", "  - {name: plc, use: tcp, options: {port: 1}}"
+    )
+    images = f"path: {path.parent / 'images'}, existing: true, settle_ms: 0"
+    path.write_text(path.read_text("utf-8").replace("path: in", images), "utf-8")
+    path.write_text(path.read_text("utf-8") + "page: {port: 0}\n", "utf-8")
+    ran = CliRunner().invoke(app, ["doctor", str(path)])
+    assert ran.exit_code == 2
+    said = ran.output.splitlines()
+    assert said[0] == "ok       line file: line-1: recipes and calibrations load, every stage is installed"
+    assert "ok       station one, feed folder-watch: a frame of 320 × 240 pixels" in said
+    assert any(
+        line.startswith("WRONG    outlet plc (tcp): ") and "line.yaml:9:5: 127.0.0.1:1: Conn" in line
+        for line in said
+    )
+    assert "           → does the receiver run and listen there?" in said
+    assert "ok       outlet history (database): reached" in said
+    assert "ok       page: 127.0.0.1:0 is free" in said
+
+
+def test_the_doctor_says_how_a_line_is_that_runs(at) -> None:
+    path = at()
+    loaded = Line.load(path)
+    outbox = Outbox(loaded.folder)
+    outbox.beat("station one", "running", {})
+    outbox.raise_alarm("one", "camera", "no frames from the camera: unplugged")
+    with exclusive(loaded.folder):
+        ran = CliRunner().invoke(app, ["doctor", str(path)])
+    assert ran.exit_code == 2
+    assert "ok       station one: running" in ran.output
+    assert "WRONG    one: no frames from the camera: unplugged" in ran.output
+
+
+def test_the_doctor_does_not_guess_what_a_file_is(tmp_path) -> None:
+    (tmp_path / "other.yaml").write_text("roemetry: 1\n")
+    ran = CliRunner().invoke(app, ["doctor", str(tmp_path / "other.yaml")])
+    assert isinstance(ran.exception, ConfigurationError)
+    assert "the key `roemetry_line`" in str(ran.exception)
