@@ -26,6 +26,7 @@ from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Surfac
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
 from roemetry_kernels.compiling import float_kernel
+from roemetry_scan.flanks import POINTS, conic, rims_of
 
 _UNIFORM = 1.0 / math.sqrt(12.0)
 _OVER_GAP = 0.1
@@ -35,6 +36,8 @@ _FLANK = 0.12
 2)."""
 _EDGE_POINTS = 0.5
 """Points by which each edge of a slice may lie otherwise, uniform."""
+_BEYOND_STEPS = 2.0
+"""An outermost point beyond which more is missing would have been followed by the assembler."""
 _SURFACE_SLICES, _SURFACE_POINTS = 160, 64
 """Of a drawn surface, at most."""
 _COVERAGE_FACTOR = 1.959964
@@ -121,7 +124,8 @@ def sections_of(profiles: Profiles, number: int) -> Sections:
     if not gap.min() > 0.0:
         raise StageError("two slices lie at one place")
     xyz, on = profiles.xyz_mm[index], mine[index]
-    table = _areas(xyz, on, profiles.seen[index])
+    rim = rims_of(profiles.xyz_mm, profiles.product, int(profiles.product.max()))[number]
+    table = _areas(xyz, on, profiles.seen[index], rim)
     place = profiles.stripe[index]
     steps = np.maximum(np.abs(np.diff(place)), 1)
     held, own = np.zeros(index.size), np.zeros(index.size)
@@ -198,8 +202,8 @@ def estimate_of(value: float, budget: dict[str, float]) -> Estimate:
 
 
 @float_kernel
-def _areas(xyz: Floats, mine: Flags, seen: Flags) -> Floats:
-    """Give (slice, 5): area, what of it is filled or bridged, width, √(Σ edge heights²), usual step."""
+def _areas(xyz: Floats, mine: Flags, seen: Flags, rim: float) -> Floats:
+    """Give (slice, 6): area, what of it is filled, width, √(Σ edge heights²), usual step, what is bridged."""
     slices, points = mine.shape
     table = np.zeros((slices, 6))
     for i in range(slices):
@@ -223,13 +227,33 @@ def _areas(xyz: Floats, mine: Flags, seen: Flags) -> Floats:
                 first = k
             last = k
         each = steps / count if count > 0 else 0.0
-        # each outermost point stands for half its part of the slice beyond it
-        area += 0.5 * each * (xyz[i, first, 2] + xyz[i, last, 2])
+        left = _beyond(xyz[i], mine[i], seen[i], first, 1, each, rim)
+        right = _beyond(xyz[i], mine[i], seen[i], last, -1, each, rim)
+        area += left * xyz[i, first, 2] + right * xyz[i, last, 2]
         table[i, 0], table[i, 1], table[i, 5] = area, filled, bridged
-        table[i, 2] = abs(xyz[i, last, 1] - xyz[i, first, 1]) + each
+        table[i, 2] = abs(xyz[i, last, 1] - xyz[i, first, 1]) + left + right
         table[i, 3] = math.sqrt(xyz[i, first, 2] ** 2 + xyz[i, last, 2] ** 2)
         table[i, 4] = each
     return table
+
+
+@float_kernel
+def _beyond(xyz: Floats, mine: Flags, seen: Flags, edge: int, inwards: int, step: float, rim: float) -> float:
+    """Give how far a slice goes on beyond its outermost point, mm.
+
+    Half a step on the mean where belt is seen right beside it. Where it is not, rays that graze the flank
+    have lost a little more of it, and the flank tells how much.
+    """
+    if not seen[edge]:
+        return 0.5 * step
+    d, z = np.empty(POINTS), np.empty(POINTS)
+    count, k = 0, edge
+    while 0 <= k < seen.size and count < POINTS and mine[k] and seen[k]:
+        d[count], z[count] = abs(xyz[k, 1] - xyz[edge, 1]), xyz[k, 2]
+        count += 1
+        k += inwards
+    length = conic(d, z, count, _BEYOND_STEPS * step, rim)[4]
+    return length if length > 0.0 else 0.5 * step
 
 
 def _drawn(profiles: Profiles, index: Integers, number: int) -> Surface:
