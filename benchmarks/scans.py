@@ -251,6 +251,34 @@ def volumes(count: int, seed: int) -> None:
         )
 
 
+def shapes(count: int, seed: int) -> None:
+    """Say the same without images: exact crossings with noise, so that only what slices miss is left."""
+    from roemetry.run.open_parts import split_products
+    from roemetry_scan.dense import DenseSlices
+
+    for family, options in CONVEX.items():
+        off, held, width = [], 0, []
+        for k in range(count):
+            sim = scene(
+                family=family, product=options, lead_mm=35.0, **_rig(np.random.default_rng([seed, k, 3]))
+            )
+            calibration, assembler = true_calibration(sim), BeltMotion()
+            stripes, lines = stripes_of(sim, seed + k, 0.05)
+            profiles = assembler.label(assembler.place(stripes, lines, calibration, PinholePlane()))
+            (product,) = split_products(profiles, (), calibration, "scan")
+            found, drawn = DenseSlices().estimate(product).visible_mm3, sim.drawn(0, seed + k)
+            assert drawn is not None
+            true = drawn.truth.visible_mm3
+            off.append(found.value / true - 1.0)
+            held += found.interval[0] <= true <= found.interval[1]
+            width.append((found.interval[1] - found.interval[0]) / 2.0 / found.value)
+        print(
+            f"without images, {len(off)} × {family}: mean {np.mean(off):+.2%}, mean absolute "
+            f"{np.abs(off).mean():.2%}, worst {np.abs(off).max():.2%}; intervals (± {np.median(width):.2%}) "
+            f"hold {held} of {len(off)}"
+        )
+
+
 def _spoiled(fault: str, lines: ScanLines, rng: np.random.Generator) -> tuple[ScanLines, Any]:
     """Give the lines with a fault at a random place, and which of the scan's they are."""
     many = len(lines.count)
@@ -406,8 +434,8 @@ def memory(count: int, seed: int) -> None:
 
 
 PARTS: dict[str, Callable[[int, int], None]] = {
-    "motion": motion, "volumes": volumes, "faults": faults, "formats": formats, "speed": speed,
-    "memory": memory,
+    "motion": motion, "volumes": volumes, "shapes": shapes, "faults": faults, "formats": formats,
+    "speed": speed, "memory": memory,
 }  # fmt: skip
 
 

@@ -22,10 +22,12 @@ import numpy as np
 from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry_kernels.compiling import float_kernel
 
-_POINTS = 30
+POINTS = 30
 """Points that tell how a flank goes on."""
 _RIM_PRIOR = 1e-5
 """Weight of a rim on the belt, of one point's equation: it decides where noise alone would."""
+_RIM_ROWS_MIN = 10
+"""Image rows that tell a product's rim where belt is seen right beside it."""
 _POOLED = 3
 """Neighbours on either side whose mean stands for a point: noise of single ones bends the conic."""
 _FLAT = 1.02
@@ -42,8 +44,9 @@ def followed(xyz_mm: Floats, label: Labels, plane: Floats) -> tuple[Floats, Labe
     """
     points, number = np.array(xyz_mm), np.array(label)
     added = np.zeros(number.shape, np.bool_)
-    _along_belt(points, number, added, plane)
-    _along_slices(points, number, added, plane)
+    rims = rims_of(points, number, int(number.max(initial=0)))
+    _along_belt(points, number, added, plane, rims)
+    _along_slices(points, number, added, plane, rims)
     _join(points, number, added, plane)
     return points, number, added
 
@@ -104,7 +107,7 @@ def conic(
 
 
 @float_kernel
-def _along_belt(xyz: Floats, label: Labels, added: Flags, plane: Floats) -> None:
+def _along_belt(xyz: Floats, label: Labels, added: Flags, plane: Floats, rims: Floats) -> None:
     """Follow each image row from slice to slice, both ways."""
     slices, points = label.shape
     for k in range(points):
@@ -113,13 +116,13 @@ def _along_belt(xyz: Floats, label: Labels, added: Flags, plane: Floats) -> None
             while 0 <= i < slices:
                 ahead = i + way
                 if label[i, k] > 0 and 0 <= ahead < slices and label[ahead, k] < 0:
-                    i = _fill(xyz, label, added, plane, i, k, way, 0)
+                    i = _fill(xyz, label, added, plane, rims, i, k, way, 0)
                 else:
                     i = ahead
 
 
 @float_kernel
-def _along_slices(xyz: Floats, label: Labels, added: Flags, plane: Floats) -> None:
+def _along_slices(xyz: Floats, label: Labels, added: Flags, plane: Floats, rims: Floats) -> None:
     """Follow each slice on both sides."""
     slices, points = label.shape
     for i in range(slices):
@@ -128,27 +131,38 @@ def _along_slices(xyz: Floats, label: Labels, added: Flags, plane: Floats) -> No
             while 0 <= k < points:
                 ahead = k + way
                 if label[i, k] > 0 and 0 <= ahead < points and label[i, ahead] < 0:
-                    k = _fill(xyz, label, added, plane, i, k, 0, way)
+                    k = _fill(xyz, label, added, plane, rims, i, k, 0, way)
                 else:
                     k = ahead
 
 
 @float_kernel
-def _rim(xyz: Floats, label: Labels, added: Flags, i: int, k: int, way_i: int, way_k: int) -> float:
-    """Give the height of the rim on the other side, if the belt is seen right beside it there; else NaN.
+def rims_of(xyz: Floats, label: Labels, products: int) -> Floats:
+    """Give (product + 1,) the height of each one's rim, if belt is seen right beside it somewhere; else NaN.
 
     Near a rim heights are r + √(α·d): of a last point that lies anywhere within a spacing of it and of the
-    next one, z₀ − 1.4·(z₁ − z₀) is r on the mean.
+    next one, z₀ − 1.4·(z₁ − z₀) is r on the mean, over many image rows within a hundredth of the height.
     """
     slices, points = label.shape
-    m, n = i, k
-    while 0 <= m < slices and 0 <= n < points and label[m, n] == label[i, k] and not added[m, n]:
-        m -= way_i
-        n -= way_k
-    if not (0 <= m < slices and 0 <= n < points) or label[m, n] != 0:
-        return np.nan
-    z0, z1 = xyz[m + way_i, n + way_k, 2], xyz[m + 2 * way_i, n + 2 * way_k, 2]
-    return max(z0 - 1.4 * max(z1 - z0, 0.0), 0.0)
+    found, count = np.full((products + 1, 2 * points), np.nan), np.zeros(products + 1, np.int64)
+    for k in range(points):
+        for way in (1, -1):
+            last = 0 if way == 1 else slices - 1
+            for i in range(1, slices - 1):
+                m = i if way == 1 else slices - 1 - i
+                number = label[m, k]
+                # the outermost point of the row on this side, with belt right beside it
+                if number > 0 and label[last, k] == 0 and label[m + way, k] == number:
+                    z0, z1 = xyz[m, k, 2], xyz[m + way, k, 2]
+                    if count[number] < 2 * points:
+                        found[number, count[number]] = z0 - 1.4 * max(z1 - z0, 0.0)
+                        count[number] += 1
+                last = m
+    rims = np.full(products + 1, np.nan)
+    for number in range(1, products + 1):
+        if count[number] >= _RIM_ROWS_MIN:
+            rims[number] = max(np.median(found[number, : count[number]]), 0.0)
+    return rims
 
 
 @float_kernel
@@ -191,14 +205,22 @@ def _join(xyz: Floats, label: Labels, added: Flags, plane: Floats) -> None:
 
 @float_kernel
 def _fill(
-    xyz: Floats, label: Labels, added: Flags, plane: Floats, i: int, k: int, way_i: int, way_k: int
-) -> int:
+    xyz: Floats,
+    label: Labels,
+    added: Flags,
+    plane: Floats,
+    rims: Floats,
+    i: int,
+    k: int,
+    way_i: int,
+    way_k: int,
+) -> int:  # fmt: skip
     """Follow a flank from a product's last point over what is not seen to the belt; give where that ends."""
     slices, points = label.shape
     number, axis = label[i, k], 0 if way_i != 0 else 1
-    d, z = np.empty(_POINTS), np.empty(_POINTS)
+    d, z = np.empty(POINTS), np.empty(POINTS)
     count, m, n = 0, i, k
-    while 0 <= m < slices and 0 <= n < points and label[m, n] == number and count < _POINTS:
+    while 0 <= m < slices and 0 <= n < points and label[m, n] == number and count < POINTS:
         if not added[m, n]:
             d[count] = abs(xyz[m, n, axis] - xyz[i, k, axis])
             z[count] = _pooled(xyz, label, added, m, n, axis)
@@ -223,7 +245,7 @@ def _fill(
     else:
         return stop
     most = abs(x1 - x0) if axis == 0 else abs(y1 - y0)
-    r, a, b, c, length = conic(d, z, count, most, _rim(xyz, label, added, i, k, way_i, way_k))
+    r, a, b, c, length = conic(d, z, count, most, rims[number])
     if length <= 0.0:
         return stop
     m, n = i + way_i, k + way_k

@@ -12,10 +12,6 @@ from roemetry.records import Profiles
 from roemetry.records.arrays import Flags, Floats, Integers
 
 _CELLS_MAX = 200_000_000
-_GAP_STEPS = 2.5
-"""Neighbours farther apart than so many usual steps are not joined."""
-_FINER = 2
-"""Pixels of a grid for each of the slices' own steps: edges then stay where they are to a quarter of it."""
 _METRES = 1.0
 """A belt that is not even 1 mm long was measured in metres."""
 _METRES_TO_MM = 5.0
@@ -126,54 +122,11 @@ def _gridded(points: Floats, pixel_mm: float, name: str) -> Floats:
     return xyz
 
 
-def on_grid(measured: Measured) -> tuple[Floats, float, float, float, float]:
-    """Give (row, column) heights on a grid, X and Y of its first pixel's centre, and their steps, mm.
-
-    Columns run along X, rows against Y. Slices are resampled by straight lines, along themselves first.
-    """
-    xyz = measured.xyz_mm
-    if xyz.ndim != 3:
-        raise DataError("a cloud has no slices to lay on a grid", hint="write it as PLY, PCD, LAS or CSV")
-    known = np.asarray(np.isfinite(xyz).all(axis=2))
-    order, at = _sorted(xyz, known)
-    xyz, known = xyz[order], known[order]
-    step_x = float(np.median(np.diff(at)))
-    steps = np.abs(np.diff(xyz[..., 1], axis=1))
-    step_y = float(np.median(steps[np.isfinite(steps) & (steps > 0)]))
-    low, high = float(np.nanmin(xyz[..., 1])), float(np.nanmax(xyz[..., 1]))
-    fine_x, fine_y = step_x / _FINER, step_y / _FINER
-    x = np.arange(at[0], at[-1] + 0.5 * fine_x, fine_x)
-    y = np.arange(high, low - 0.5 * fine_y, -fine_y)
-    along = np.full((len(xyz), y.size), np.nan)
-    where = np.full((len(xyz), y.size), np.nan)
-    for k, (line, ok) in enumerate(zip(xyz, known, strict=True)):
-        along[k], where[k] = _between(line[ok], y, step_y)
-    found = np.full((y.size, x.size), np.nan)
-    for j in range(y.size):
-        ok = np.isfinite(along[:, j])
-        if np.count_nonzero(ok) > 1:
-            line = np.column_stack([np.zeros(int(ok.sum())), where[ok, j], along[ok, j]])
-            found[j] = _between(line, x, step_x)[0]
-    return found, float(x[0]), float(y[0]), fine_x, fine_y
-
-
-def _between(points: Floats, at: Floats, step: float) -> tuple[Floats, Floats]:
-    """Give heights and X at places along Y: by straight lines, over gaps as far as each point stands for."""
-    if len(points) < 2:
-        return np.full(at.size, np.nan), np.full(at.size, np.nan)
-    points = points[np.argsort(points[:, 1], kind="stable")]
-    y = points[:, 1]
-    after = np.clip(np.searchsorted(y, at), 1, len(points) - 1)
-    gap = y[after] - y[after - 1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.clip((at - y[after - 1]) / gap, 0.0, 1.0)
-    far = (gap > _GAP_STEPS * step) | (gap <= 0)
-    share = np.where(far, (at - y[after - 1] > y[after] - at).astype(np.float64), share)
-    nearest = np.minimum(np.abs(at - y[after - 1]), np.abs(at - y[after]))
-    inside = (at >= y[0]) & (at <= y[-1]) & ~far
-    good = inside | (nearest <= 0.5 * step)
-    z, x = (points[after - 1, k] + share * (points[after, k] - points[after - 1, k]) for k in (2, 0))
-    return np.where(good, z, np.nan), np.where(good, x, np.nan)
+def sliced(measured: Measured) -> Floats:
+    """Give (slice, point, 3); DataError for a cloud."""
+    if measured.xyz_mm.ndim != 3:
+        raise DataError("a cloud has no slices to lay side by side", hint="write it as PLY, PCD, LAS or CSV")
+    return measured.xyz_mm
 
 
 def flat(measured: Measured) -> tuple[Floats, Integers, Integers, Flags]:

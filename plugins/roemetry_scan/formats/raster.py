@@ -26,7 +26,7 @@ from roemetry.errors import ConfigurationError, DataError
 from roemetry.io.files import is_file, write_bytes, write_whole
 from roemetry.io.yaml_source import dump
 from roemetry.io.yaml_source import read as read_yaml
-from roemetry_scan.formats.points import Measured, on_grid
+from roemetry_scan.formats.points import Measured, sliced
 
 
 class Axis(Section):
@@ -111,35 +111,39 @@ def _array(path: Path) -> Any:
 
 
 def write(path: Path, measured: Measured) -> list[Path]:
-    """Write heights on a regular grid: TIFF of 32-bit floats, or PNG of 16 bits, each with its sidecar."""
-    z, x0, y0, step_x, step_y = on_grid(measured)
-    told: dict[str, Any] = {
-        "pixel_format": "Coord3D_C32f",
-        "z": {"scale": 1.0, "offset": 0.0},
-        "x": {"scale": step_x, "offset": x0},
-        "y": {"scale": -step_y, "offset": y0},
-    }
+    """Write slices as columns, each pixel with its own X, Y and Z, and the sidecar that says so.
+
+    TIFF and NPY of 32-bit floats, PNG of 16 bits: resampled on a regular grid, edges would move.
+    """
+    xyz = sliced(measured).transpose(1, 0, 2)
+    told: dict[str, Any] = {"pixel_format": "Coord3D_ABC32f"}
+    told |= {axis: {"scale": 1.0, "offset": 0.0} for axis in "xyz"}
     if path.suffix.lower() == ".npy":
         import io
 
         file = io.BytesIO()
-        np.save(file, z.astype(np.float32))
+        np.save(file, xyz.astype(np.float32))
         write_bytes(path, file.getvalue())
     elif path.suffix.lower() == ".png":
         import cv2
 
-        low, high = float(np.nanmin(z)), float(np.nanmax(z))
-        scale = max((high - low) / 65533.0, 1e-6)
-        grey = np.where(np.isfinite(z), np.rint((z - low) / scale) + 1.0, 0.0).astype(np.uint16)
-        told |= {"pixel_format": "Coord3D_C16", "z": {"scale": scale, "offset": low - scale}, "no_data": 0}
-        write_bytes(path, bytes(cv2.imencode(".png", grey)[1].tobytes()))
+        known = xyz[np.isfinite(xyz).all(axis=2)]
+        low = known.min(axis=0)
+        scale = np.maximum(np.ptp(known, axis=0) / 65533.0, 1e-6)
+        grey = np.where(np.isfinite(xyz), np.rint((xyz - low) / scale) + 1.0, 0.0).astype(np.uint16)
+        told = {"pixel_format": "Coord3D_ABC16", "no_data": 0}
+        told |= {
+            axis: {"scale": float(step), "offset": float(first - step)}
+            for axis, step, first in zip("xyz", scale, low, strict=True)
+        }
+        write_bytes(path, bytes(cv2.imencode(".png", grey[..., ::-1])[1].tobytes()))
     else:
         import io
 
         import tifffile
 
         file = io.BytesIO()
-        tifffile.imwrite(file, z.astype(np.float32), compression="zlib")
+        tifffile.imwrite(file, xyz.astype(np.float32), compression="zlib", photometric="rgb")
         write_bytes(path, file.getvalue())
     beside = path.with_suffix(".yaml")
     write_whole(beside, "# What the heights beside this file mean, mm.\n" + dump(told))

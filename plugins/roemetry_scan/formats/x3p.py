@@ -13,7 +13,7 @@ import numpy as np
 
 from roemetry.errors import DataError
 from roemetry.io.files import write_bytes
-from roemetry_scan.formats.points import Measured, on_grid
+from roemetry_scan.formats.points import Measured, sliced
 
 _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
 _MM = 1000.0
@@ -47,20 +47,21 @@ def read(path: Path) -> Measured:
     columns, rows, layers = (int(_text(tree, f"Size{axis}")) for axis in "XYZ")
     if layers != 1:
         raise DataError(f"{path}: {layers} layers, expected one")
-    of_z = _axis(tree, "CZ")
-    kind = np.dtype(_TYPES[_text(of_z, "DataType", "D")])
-    if len(data) != columns * rows * kind.itemsize:
+    axes = [_axis(tree, f"C{axis}") for axis in "XYZ"]
+    kinds = [np.dtype(_TYPES[_text(one, "DataType", "D")]) for one in axes]
+    own = _text(axes[0], "AxisType", "I") == _text(axes[1], "AxisType", "I") == "A"
+    whole = np.dtype([(str(k), kind) for k, kind in enumerate(kinds)] if own else [("2", kinds[2])])
+    if len(data) != columns * rows * whole.itemsize:
         raise DataError(
-            f"{path}: {len(data)} bytes of heights, expected {columns} × {rows} × {kind.itemsize}"
+            f"{path}: {len(data)} bytes of heights, expected {columns} × {rows} × {whole.itemsize}"
         )
-    z = np.frombuffer(data, kind).reshape(rows, columns).astype(np.float64)
-    z = z * float(_text(of_z, "Increment", "1")) + float(_text(of_z, "Offset", "0"))
-    steps = [float(_text(_axis(tree, f"C{axis}"), "Increment")) * _MM for axis in "XY"]
-    first = [float(_text(_axis(tree, f"C{axis}"), "Offset", "0")) * _MM for axis in "XY"]
+    points = np.frombuffer(data, whole).reshape(rows, columns)
+    number = {"0": np.arange(columns)[None, :], "1": np.arange(rows)[:, None]}
     xyz = np.empty((columns, rows, 3))
-    xyz[..., 0] = (first[0] + steps[0] * np.arange(columns))[:, None]
-    xyz[..., 1] = first[1] + steps[1] * np.arange(rows)
-    xyz[..., 2] = z.T * _MM
+    for k, one in enumerate(axes):
+        values = points[str(k)] if own or k == 2 else number[str(k)]
+        step = _text(one, "Increment", "1" if own or k == 2 else None)
+        xyz[..., k] = ((values * float(step) + float(_text(one, "Offset", "0"))) * _MM).T
     return Measured(xyz)
 
 
@@ -85,24 +86,20 @@ def _text(tree: ElementTree.Element, name: str, default: str | None = None) -> s
 
 
 def write(path: Path, measured: Measured) -> list[Path]:
-    """Write the heights on a regular grid, as doubles."""
-    z, x0, y0, step_x, step_y = on_grid(measured)
-    z = z[::-1]  # rows along Y
-    first_y = y0 - step_y * (len(z) - 1)
-    data = np.ascontiguousarray(z / _MM).astype("<f8").tobytes()
+    """Write slices with each point's own X and Y, as doubles; DataError for a cloud without slices."""
+    xyz = sliced(measured).transpose(1, 0, 2)
+    data = np.ascontiguousarray(xyz / _MM).astype("<f8").tobytes()
     axes = "".join(
-        f"<C{axis}><AxisType>{kind}</AxisType><DataType>D</DataType><Increment>{step!r}</Increment>"
-        f"<Offset>{offset!r}</Offset></C{axis}>"
-        for axis, kind, step, offset in (
-            ("X", "I", step_x / _MM, x0 / _MM), ("Y", "I", step_y / _MM, first_y / _MM), ("Z", "A", 1.0, 0.0),
-        )
-    )  # fmt: skip
+        f"<C{axis}><AxisType>A</AxisType><DataType>D</DataType><Increment>1.0</Increment>"
+        f"<Offset>0.0</Offset></C{axis}>"
+        for axis in "XYZ"
+    )
     date = datetime.now(UTC).isoformat(timespec="seconds")
     main = (
         f'<?xml version="1.0" encoding="UTF-8"?>\n<p:ISO5436_2 xmlns:p="{_NAMESPACE}"><Record1>'
         f"<Revision>ISO5436 - 2000</Revision><FeatureType>SUR</FeatureType><Axes>{axes}</Axes></Record1>"
         f"<Record2><Date>{date}</Date><Creator>roemetry</Creator></Record2><Record3><MatrixDimension>"
-        f"<SizeX>{z.shape[1]}</SizeX><SizeY>{z.shape[0]}</SizeY><SizeZ>1</SizeZ></MatrixDimension><DataLink>"
+        f"<SizeX>{xyz.shape[1]}</SizeX><SizeY>{xyz.shape[0]}</SizeY><SizeZ>1</SizeZ></MatrixDimension><DataLink>"
         "<PointDataLink>bindata/data.bin</PointDataLink><MD5ChecksumPointData>"
         f"{hashlib.md5(data, usedforsecurity=False).hexdigest().upper()}</MD5ChecksumPointData></DataLink>"
         "</Record3><Record4><ChecksumFile>md5checksum.hex</ChecksumFile></Record4></p:ISO5436_2>\n"

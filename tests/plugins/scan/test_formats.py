@@ -62,6 +62,17 @@ def test_the_volume_of_a_file_is_that_of_the_body(tmp_path: Path, suffix: str) -
 
 
 @pytest.mark.parametrize("suffix", CLOUDS + GRIDS)
+def test_a_file_has_the_volume_that_was_written(tmp_path: Path, suffix: str) -> None:
+    """Slices that lie aslant, as those of a rig do, keep their volume to 0.02 % in every format."""
+    lean = dome().xyz_mm.copy()
+    lean[..., 0] += 0.1 * lean[..., 2] + 0.01 * lean[..., 1]
+    first, again = tmp_path / "first.ply", tmp_path / f"again.{suffix}"
+    write(first, Measured(lean))
+    write(again, Measured(lean))
+    assert abs(volume(again) / volume(first) - 1.0) < 2e-4
+
+
+@pytest.mark.parametrize("suffix", CLOUDS + GRIDS)
 def test_a_file_that_is_cut_off_is_refused(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a.{suffix}"
     write(path, dome())

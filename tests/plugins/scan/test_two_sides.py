@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ import pytest
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import Profiles, SpherePlate
 from roemetry_scan.closed import Registration, ball_centres, closed_volume, registered
+from roemetry_scan.commands import register_heads, two_sides
+from roemetry_scan.formats import write
 from roemetry_scan.formats.points import Measured, profiles_of
 
 FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -86,6 +89,43 @@ def test_heads_are_laid_on_one_another_by_their_balls(rng_seed: int = 3) -> None
     assert found.balls == 6
     carried = lower @ found.T_top_bottom[:3, :3].T + found.T_top_bottom[:3, 3]
     assert np.abs(carried - plate).max() < 0.01
+
+
+def head(folder: Path, name: str, height: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Path:
+    """Write what a head saw as a cloud, and the recipe that reads it."""
+    write(folder / f"{name}.ply", Measured(seen(height).xyz_mm))
+    path = folder / f"{name}.yaml"
+    path.write_text(
+        f"roemetry: 1\nproduct: {name}\nsource: {{use: height-files, path: {name}.ply}}\n"
+        "stages: {volume: dense-slices}\n"
+    )
+    return path
+
+
+def test_two_recipes_and_a_plate_give_the_true_volume(tmp_path: Path) -> None:
+    """As the commands do it: a plate's balls halfway up are seen from both sides, then a product is."""
+    middles = CENTRES[:, :2] + [0.7, -0.4] * np.arange(6)[:, None]  # no mirror image of itself
+
+    def balls(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        away = np.min([(x - cx) ** 2 + (y - cy) ** 2 for cx, cy in middles], axis=0)
+        return np.where(away < 24.0, 10.0 + np.sqrt(np.maximum(25.0 - away, 0.0)), 0.0)
+
+    (tmp_path / "target.yaml").write_text(
+        "kind: sphere-plate\nname: plate\ncolumns: 3\nrows: 2\npitch_mm: 18\ndiameter_mm: 10\n"
+        "centre_height_mm: 10\ntolerance_mm: 0.005\n"
+    )
+    told = tmp_path / "registration.yaml"
+    register_heads(
+        head(tmp_path, "plate_top", balls), head(tmp_path, "plate_bottom", lambda x, y: balls(x, -y)),
+        tmp_path / "target.yaml", told,
+    )  # fmt: skip
+    table = tmp_path / "true.csv"
+    two_sides(head(tmp_path, "top", ellipsoid), head(tmp_path, "bottom", ellipsoid), told, table)
+    cm3, std, low, high, reason = table.read_text().splitlines()[1].split(",")[1:]
+    assert float(cm3) == pytest.approx(TRUE / 1000.0, rel=5e-3)
+    assert float(low) < TRUE / 1000.0 < float(high)
+    assert float(std) < 0.02 * TRUE / 1000.0
+    assert not reason
 
 
 def test_heads_without_a_common_plate_are_refused() -> None:
