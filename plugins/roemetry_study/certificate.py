@@ -202,7 +202,7 @@ def verify(path: Path, trusted_key: str = "", page: Path | None = None) -> Verif
     if trusted_key and signer != trusted_key:
         raise DataError(f"{path}: signed by {signer}, expected {trusted_key}")
     words = "unchanged since it was signed by " + (
-        signer if trusted_key else f"{signer} (whose key this is, you know)"
+        signer if trusted_key else f"{signer} (check that this is the key you expect)"
     )
     return Verified(signer, bool(trusted_key), words)
 
