@@ -598,7 +598,7 @@ def _shared_part(problem: Problem, geometry: Geometry, pose: int, shared: Intege
     own = np.empty(0, np.int64) if pose == ON_BELT else problem.unknowns.poses[pose]
     own = own[own >= 0]
     gone = np.linalg.solve(normal[np.ix_(own, own)], both[own])
-    return np.asarray((both - normal[:, own] @ gone)[np.ix_(shared, [*shared, -1])])
+    return np.asarray((both - normal[:, own] @ gone)[np.ix_(shared, np.append(shared, -1))])
 
 
 def chosen(rows: _Rows, keep: Flags, poses: Integers | None = None) -> _Rows:
