@@ -190,7 +190,7 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
         )
     observed = CalibrationSet(
         observations=tuple(observations),
-        stripe_count=rig.file.stripes,
+        stripe_count=rig.file.stripes or 0,
         block=rig.block,
         working_distance_mm=rig.file.working_distance_mm,
         extractor=rig.extractor.described(),

@@ -41,7 +41,7 @@ def lint(
     elif "roemetry_rig" in keys:
         rig = Rig.load(path, sets=sets or ())
         images = sum(len(paths) for paths in rig.images.values())
-        typer.echo(f"{path}: a rig with {rig.file.stripes} stripes and {images} images: sound")
+        typer.echo(f"{path}: a rig with {rig.file.stripes or 'no'} stripes and {images} images: sound")
     elif "roemetry" in keys:
         recipe = Recipe.load(path, sets=sets or ())
         references = recipe.references()

@@ -105,7 +105,12 @@ class RigFile(Section):
 
     roemetry_rig: Literal[1] = Field(description="version of the rig format")
     name: str = Field(min_length=1, description="what to call the rig")
-    stripes: int = Field(ge=1, le=200, description="number of stripes the laser projects")
+    stripes: int | None = Field(
+        default=None,
+        ge=1,
+        le=200,
+        description="number of stripes the laser projects; needed where an image shows them",
+    )
     channel: Channel = Field(default="grey", description="what to make of a colour image")
     contrast: Contrast = Field(
         default="none",
@@ -155,7 +160,10 @@ class RigFile(Section):
     scan: RigScan | None = Field(
         default=None, description="a scan of the pyramid or the sphere plate: how the belt runs"
     )
-    extractor: Choice
+    extractor: Choice = Field(
+        default_factory=lambda: StageChoice(use="maximum-likelihood"),
+        description="what finds the stripes' peaks",
+    )
     calibrator: Choice = Field(default_factory=lambda: StageChoice(use="block-linear"))
 
 
@@ -228,6 +236,10 @@ class Rig:
                 "encoder_counts",
             )
         scan = file.scan
+        if file.stripes is None and (
+            scan is not None or _with_laser(images, *(theirs for _, theirs in more))
+        ):
+            chooser.fault("this is missing", "stripes")
         if file.images is None and (scan is None or scan.base is None):
             chooser.fault("this is missing", "images")
         for_scan = {
@@ -250,6 +262,12 @@ class Rig:
             tuple(more),
             **for_scan,
         )
+
+
+def _with_laser(*images: dict[str, list[Path]]) -> bool:
+    return any(
+        paths for each in images for shows, paths in each.items() if shows not in ("board", "board_on_belt")
+    )
 
 
 def _images(

@@ -319,7 +319,8 @@ def frame_of(recipe: Recipe, acquisition: Acquisition) -> Frame:
         bit_depth=source.bit_depth,
         sensor=recipe.sensor,
     )
-    check_joins(frame)
+    # a contrast ends at once where the light is clipped: what the lens drew is in the grey image
+    check_joins(frame if source.contrast == "none" else prepare(acquisition, turn_deg=0, subtract="none"))
     return frame
 
 

@@ -250,7 +250,7 @@ def test_a_stripe_narrower_than_a_hot_pixel_goes_on(rng: np.random.Generator) ->
         d = np.arange(120) - x
         pixels[row] += 80.0 * (erf((d + 0.5) / 1.0) - erf((d - 0.5) / 1.0))  # σ 0.7: 1.67 px wide
     pixels[20, 90] = 200.0
-    peaks = MaximumLikelihood().extract(Frame("thin", np.rint(pixels).astype(np.uint8), "laser"))
+    peaks = MaximumLikelihood().extract(Frame(np.rint(pixels).astype(np.uint8)))
     assert (peaks.width_px < MaximumLikelihoodOptions().width_min_px).all()
     assert set(peaks.row) >= set(range(1, 59)), "first and last go on to one side only"
     assert np.abs(peaks.x_px - x_px[peaks.row]).max() < 0.1, "px; the hot pixel is 50 px beside"

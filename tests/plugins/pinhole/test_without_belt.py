@@ -136,9 +136,9 @@ def test_camera_only_writes_a_file_of_opencvs(tmp_path: Path) -> None:
     for number, one in enumerate(o for o in boards if o.frame.role == "plain"):
         cv2.imwrite(str(tmp_path / f"board_{number}.png"), one.frame.pixels)
     (tmp_path / "rig.yaml").write_text(
-        "roemetry_rig: 1\nname: camera\nstripes: 1\nimages: {board: ['board_*.png']}\n"
+        "roemetry_rig: 1\nname: no laser at all\nimages: {board: ['board_*.png']}\n"
         "board: {kind: chessboard, name: b, columns: 9, rows: 6, pitch_mm: 5.5}\n"
-        "extractor: gaussian\ncalibrator: {use: pinhole-plane, options: {lens: none}}\n",
+        "calibrator: {use: pinhole-plane, options: {lens: none}}\n",
         "utf-8",
     )
     words = [sys.executable, "-m", "roemetry", "calibrate", str(tmp_path / "rig.yaml"), "--camera-only"]
