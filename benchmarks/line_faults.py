@@ -137,11 +137,12 @@ class Broker:
         from paho.mqtt import client as paho
 
         self.port, self._file = port, folder / "mosquitto.conf"
-        # A mosquitto of root's becomes another user, who may not write here: it would forget its subscribers.
+        # Root's mosquitto becomes another user, who may not write here and forgets its subscribers.
         user = "user root\n" if os.getuid() == 0 else ""
         self._file.write_text(
-            f"{user}listener {port} 127.0.0.1\nallow_anonymous true\npersistence true\nmax_queued_messages 0\n"
-            f"persistence_location {folder}/\nautosave_on_changes true\nautosave_interval 1\n"
+            f"{user}listener {port} 127.0.0.1\nallow_anonymous true\npersistence true\n"
+            f"max_queued_messages 0\npersistence_location {folder}/\n"
+            "autosave_on_changes true\nautosave_interval 1\n"
         )
         self.start()
         self._client = paho.Client(paho.CallbackAPIVersion.VERSION2, "bench", clean_session=False)
