@@ -137,9 +137,12 @@ class Broker:
         from paho.mqtt import client as paho
 
         self.port, self._file = port, folder / "mosquitto.conf"
+        # Root's mosquitto becomes another user, who may not write here and forgets its subscribers.
+        user = "user root\n" if os.getuid() == 0 else ""
         self._file.write_text(
-            f"listener {port} 127.0.0.1\nallow_anonymous true\npersistence true\nmax_queued_messages 0\n"
-            f"persistence_location {folder}/\nautosave_on_changes true\nautosave_interval 1\n"
+            f"{user}listener {port} 127.0.0.1\nallow_anonymous true\npersistence true\n"
+            f"max_queued_messages 0\npersistence_location {folder}/\n"
+            "autosave_on_changes true\nautosave_interval 1\n"
         )
         self.start()
         self._client = paho.Client(paho.CallbackAPIVersion.VERSION2, "bench", clean_session=False)
@@ -351,7 +354,8 @@ class Rounds:
             while True:
                 file.write(bytes(1 << 16))
                 file.flush()
-        until_s = time.monotonic() + seconds
+        self.begin_s = time.monotonic()  # from now on it is full
+        until_s = self.begin_s + seconds
         with filler.open("ab") as file:
             while time.monotonic() < until_s:  # what the line frees meanwhile
                 with contextlib.suppress(OSError):
@@ -371,13 +375,13 @@ class Rounds:
     def round(self, fault: str, seconds: float) -> dict[str, Any]:
         """Break something; give after how long the page showed it, and when all was well again."""
         words, break_it = self.faults[fault]
-        begin = time.monotonic()
+        self.begin_s = begin = time.monotonic()
         seen: list[float] = []
 
         def watch() -> None:
             while not seen and time.monotonic() - begin < seconds + 5.0:
                 if any(word in said for said in self.operator.alarms() for word in words.split("|")):
-                    seen.append(time.monotonic() - begin)
+                    seen.append(max(0.0, time.monotonic() - self.begin_s))
                 time.sleep(0.02)
 
         watching = threading.Thread(target=watch)

@@ -68,7 +68,13 @@ def serve(
     loaded = Line.load(line)
     if unit:
         typer.echo(
-            UNIT.format(name=loaded.name, path=loaded.path, python=sys.executable, folder=loaded.folder),
+            UNIT.format(
+                name=loaded.name,
+                path=loaded.path,
+                home=loaded.path.parent,
+                python=sys.executable,
+                folder=loaded.folder,
+            ),
             nl=False,
         )
         return

@@ -508,7 +508,12 @@ class StationProcess:
         self._alarm(code, text, "note", **context)
 
     def _beat(self, *, now: bool = False) -> None:
-        """Say once a second that this process works, and what it has counted."""
+        """Say once a second that this process works, and what it has counted; and at once what hangs."""
+        silent_s = time.time() - self._last_try_s
+        if self._taking and silent_s > (_SILENT_S if self._opened else _OPENING_S):
+            self._alarm("driver", f"the camera's driver has not answered for {silent_s:.0f} s")
+        else:
+            self._ended("driver", "the camera's driver answers again")
         if not now and time.time() - self._last_beat_s < 1.0:
             return
         self._last_beat_s = time.time()
@@ -517,11 +522,6 @@ class StationProcess:
             self._alarm("disk-low", f"{free_gb:.2f} GB are free for {self._line.folder}", "warning")
         else:
             self._ended("disk-low", "there is room on the disk again")
-        silent_s = time.time() - self._last_try_s
-        if self._taking and silent_s > (_SILENT_S if self._opened else _OPENING_S):
-            self._alarm("driver", f"the camera's driver has not answered for {silent_s:.0f} s")
-        else:
-            self._ended("driver", "the camera's driver answers again")
         figures = {
             **vars(self._figures),
             "queue": self._queue.qsize(),

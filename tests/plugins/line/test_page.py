@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import time
 import warnings
 from typing import Any
 
+import numpy as np
 import pytest
 
 from roemetry_line.line_file import Line
 from roemetry_line.outbox import NewRow, Outbox
 from roemetry_line.page.app import LinePage
 from roemetry_line.page.users import Users, read_users, set_password
+from roemetry_line.runs import tiff_of
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # some releases ask for a package that takes the place of httpx
@@ -54,11 +57,18 @@ def test_roles_may_do_what_they_may(at) -> None:
     outbox.raise_alarm("one", "camera", "gone")
     number = outbox.alarms()[0]["n"]
     other = str(loaded.stations[0].recipes[1])
-    expected = {None: (401, 401), "vera": (403, 403), "otto": (200, 403), "erika": (404, 200)}
-    for name, (acknowledged, chosen) in expected.items():
+    expected = {
+        None: (401, 401, 401),
+        "vera": (403, 403, 403),
+        "otto": (200, 200, 403),
+        "erika": (404, 200, 200),
+    }
+    for name, (acknowledged, checked, chosen) in expected.items():
         client.cookies.clear()
         headers = {} if name is None else log_in(client, name)
         assert client.post(f"/acknowledge/{number}", headers=headers).status_code == acknowledged, name
+        assert client.post("/check/one", headers=headers).status_code == checked, name
+        assert (outbox.open_check("one") is None) == (name in (None, "vera")), name
         asked = client.post("/recipe/one", headers=headers, content=json.dumps({"recipe": other}))
         assert asked.status_code == chosen, name
     assert outbox.wished("one") == other
@@ -105,6 +115,13 @@ def test_a_login_makes_a_new_session(at) -> None:
     assert answer.status_code == 200
     client.cookies.clear()
     assert client.get("/who", headers=planted).json()["role"] == "viewer"
+    first = answer.cookies["roemetry_session"]
+    assert first != "planted-by-somebody"
+    again = client.post("/log-in", json=password, headers={"Cookie": f"roemetry_session={first}"})
+    client.cookies.clear()
+    assert again.cookies["roemetry_session"] != first
+    old = client.get("/who", headers={"Cookie": f"roemetry_session={first}"})
+    assert old.json()["role"] == "viewer", "the session before has ended"
     told = answer.headers["set-cookie"].lower()
     assert "httponly" in told
     assert "samesite=strict" in told
@@ -136,7 +153,14 @@ def test_passwords_are_hashed_and_a_name_is_locked_after_five_wrong_ones(at) -> 
     ],
 )
 def test_no_path_leads_outside(at, path) -> None:
-    assert at[2].get(path).status_code in (400, 404)
+    loaded, _, client = at
+    picture = tiff_of(np.zeros((8, 8), np.uint8))
+    for run in ("one/r-1", "."):  # a picture that may be asked for, and one that must not
+        images = loaded.folder / "runs" / run / "images"
+        images.mkdir(parents=True)
+        (images / "000001.tif").write_bytes(picture)
+    assert client.get("/spooled/one/r-1/000001.jpg").status_code == 200
+    assert client.get(path).status_code in (400, 404)
 
 
 @pytest.mark.parametrize(
@@ -184,3 +208,40 @@ def test_what_is_shown_is_what_the_outbox_says(at) -> None:
     assert len(shown["stations"][0]["rejects"]) == 1
     assert shown["alarms"][0]["text"] == "no frames from the camera: unplugged"
     json.dumps(shown, allow_nan=False)
+
+
+def test_a_full_disk_is_shown_though_nothing_can_be_written(at, monkeypatch) -> None:
+    loaded, outbox, _ = at
+    from roemetry_line.page.snapshot import snapshot_of
+
+    assert [one for one in snapshot_of(loaded, outbox)["alarms"] if one["code"] == "disk-full"] == []
+    monkeypatch.setattr("roemetry_line.runs.disk_free", lambda _: 0.004)
+    (alarm,) = (one for one in snapshot_of(loaded, outbox)["alarms"] if one["code"] == "disk-full")
+    assert alarm["text"].startswith(f"the disk is full: 4 MB are free for {loaded.folder}")
+    assert alarm["ended"] is None
+
+
+def test_charts_and_checks_are_drawn(at) -> None:
+    loaded, _, client = at
+    assert client.get("/trend/one").status_code == 503, "nothing is measured yet"
+    from roemetry_line.outlets.database import COLUMNS, connect
+
+    table = connect(loaded.history_url)
+    rows = []
+    for n in range(30):
+        found = dict.fromkeys(COLUMNS) | {
+            "line": "l", "run": "r", "id": str(n), "station": "one", "kind": "product", "text": "{}",
+            "time_s": time.time() - 60.0 * n, "mass_g": 20.0 + n % 3, "status": "measured",
+            "product": "<b>roe</b>",
+        }  # fmt: skip
+        rows.append([found[name] for name in COLUMNS])
+    table.insert(rows)
+    table.close()
+    told = client.get("/trend/one?figure=mass_g&hours=24").json()
+    (chart,) = told["charts"]
+    assert chart["product"] == "<b>roe</b>", "the page writes it as text"
+    assert chart["means"].startswith("<svg")
+    assert chart["ewma"].startswith("<svg")
+    assert "30 products" in chart["said"]
+    assert client.get("/checks/one").json() == {"checks": 0, "plots": []}
+    assert client.get("/checks/other").status_code == 404
