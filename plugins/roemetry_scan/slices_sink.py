@@ -26,8 +26,8 @@ class SlicesOptions(StageOptions):
 class SliceFiles(Sink[SlicesOptions]):
     """Writes ``slices/<acquisition>.<format>``: belt and products, belt frame, mm.
 
-    Clouds keep each point's slice, place in it and whether it was seen (LAS: slice and seen). Height maps hold
-    a slice a column, each pixel with its own X, Y and Z.
+    Clouds keep each point's slice, place in it and whether it was seen (LAS: slice and seen). Height maps
+    hold a slice a column, each pixel with its own X, Y and Z.
     """
 
     Options: ClassVar[type[StageOptions]] = SlicesOptions
