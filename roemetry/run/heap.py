@@ -17,7 +17,7 @@ def keep_freed_memory() -> None:
     """Let glibc keep freed memory; other C libraries do as they always do.
 
     It gives a large array's memory back to the system at once, and takes it anew for the next one: of the
-    careful recipe's time on a frame an eighth went into pages that the system cleared.
+    careful recipe's time on a frame a tenth went into pages that the system cleared.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
