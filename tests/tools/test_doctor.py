@@ -10,9 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from roemetry.cli.main import app
+from roemetry.stages.hookspecs import Finding
 from roemetry.stages.registry import Broken, Provider, Registry, discover
 from roemetry_tools import doctor
-from roemetry.stages.hookspecs import Finding
 from roemetry_tools.doctor import KNOWN_NUMBERS, examine
 
 
