@@ -279,7 +279,7 @@ def contract(kind: str, registry: Registry) -> str:
 
 def _method(member: Any) -> list[str]:
     function: Callable[..., Any] = getattr(member, "__func__", member)
-    must = "must be written" if getattr(function, "__isabstractmethod__", False) else "may be written anew"
+    must = "must be written" if getattr(function, "__isabstractmethod__", False) else "may be overridden"
     parameters = re.sub(r"(: |-> )'([^']+)'", r"\1\2", str(inspect.signature(function)))
     return [
         f"### `{function.__name__}`, {must}",

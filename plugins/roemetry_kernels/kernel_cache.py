@@ -219,7 +219,7 @@ def compiled_in_turns(compiled: Any, source: Path) -> Any:
                 damaged = kept()
                 if not damaged:
                     raise
-                say(f"{damaged[0].with_suffix('')} is damaged ({type(error).__name__}): it is compiled anew")
+                say(f"{damaged[0].with_suffix('')} is damaged ({type(error).__name__}): it is recompiled")
                 for path in damaged:
                     path.unlink(missing_ok=True)
                 return compile_now(signature)

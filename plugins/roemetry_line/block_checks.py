@@ -16,7 +16,7 @@ from pathlib import Path
 
 from roemetry.calibrating import QUANTITIES, Chart, Check, block_of, check_calibration
 from roemetry.config.recipe import Recipe
-from roemetry.errors import FAULTS, OutputError, RoemetryError
+from roemetry.errors import FAULTS, RoemetryError
 from roemetry.io.files import make_folder, write_bytes
 from roemetry.records import Acquisition, Frame
 from roemetry_line.outbox import Outbox
@@ -81,23 +81,26 @@ class BlockChecks:
         """Look for what is asked until told to stop."""
         while not stop.wait(_LOOK_S):
             try:
-                number = self._outbox.open_check(self._station)
-                if number is not None:
-                    verdict, said = self._checked(stop)
-                    self._outbox.end_check(number, verdict, said)
+                check = self._outbox.last_check(self._station)
+                if check is not None and check["ended"] is None:
+                    verdict, said = self._checked(stop, check["asked"] + _FRAME_S)
+                    self._outbox.end_check(check["n"], verdict, said)
                     self._told(verdict, said)
-            except OutputError:  # the disk is full: it is told elsewhere, and tried again
+            except RoemetryError:  # a full disk, a recipe half edited: said elsewhere, and tried again
                 continue
 
-    def _checked(self, stop: threading.Event) -> tuple[str, str]:
+    def _checked(self, stop: threading.Event, until: float) -> tuple[str, str]:
+        """Measure the next frame, if it comes by a time, s since 1970; after that it shows a product."""
+        self._frames = queue.SimpleQueue()
         self._wanted.set()
-        until = datetime.now(UTC).timestamp() + _FRAME_S
         while not stop.is_set() and datetime.now(UTC).timestamp() < until:
             try:
                 return self._measured(self._frames.get(timeout=_LOOK_S))
             except queue.Empty:
                 continue
         self._wanted.clear()
+        if stop.is_set():
+            return "failed", "the check block was not measured: the line stopped"
         return "failed", f"the check block was not measured: no frame came within {_FRAME_S:g} s"
 
     def _measured(self, frame: Frame) -> tuple[str, str]:

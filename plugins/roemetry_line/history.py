@@ -6,6 +6,7 @@ import json
 import math
 import time
 from collections.abc import Mapping
+from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,12 +15,15 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
+from roemetry.config.recipe import Recipe
 from roemetry.errors import ConfigurationError, OutputError, RoemetryError
 from roemetry.io.files import write_whole
 from roemetry.run.control_chart import Check
 from roemetry_line import line_file
+from roemetry_line.control import Control
 from roemetry_line.control_charts import Chart, chart_of
 from roemetry_line.line_file import Line, Station
+from roemetry_line.outbox import FILE, Outbox
 from roemetry_line.outlets.database import COLUMNS, PostgresTable, SqliteTable, connect
 
 Figure = Literal["mass_g", "volume_mm3", "height_mm", "latency_ms"]
@@ -56,9 +60,18 @@ def checks_of(line: Line, station: Station) -> tuple[Check, ...]:
     """Give the checks of the calibration that a station measures with now, oldest first."""
     from roemetry_line.block_checks import chart_of as checks_file
 
-    recipe = line_file.load_recipe(station.recipes[0], line.folder)
+    recipe = recipe_at_work(line, station)
     sha256 = None if recipe.calibration is None else recipe.calibration.sha256
     return checks_file(recipe, line.folder, station.name).checks(sha256)
+
+
+def recipe_at_work(line: Line, station: Station) -> Recipe:
+    """Load the recipe that a station measures with: the one that was chosen, else its first."""
+    path = station.recipes[0]
+    if (line.folder / FILE).exists():
+        with closing(Outbox(line.folder)) as outbox:
+            path = Path(Control(line, outbox).recipes()[station.name][0])
+    return line_file.load_recipe(path, line.folder)
 
 
 def counts_of(table: SqliteTable | PostgresTable, station: str | None, since_s: float) -> Mapping[str, int]:

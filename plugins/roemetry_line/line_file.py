@@ -1,4 +1,4 @@
-"""``line.yaml``: which cameras, which recipes, and who is told; checked as a whole before anything starts."""
+"""``line.yaml``: which cameras, recipes and receivers; checked as a whole before anything starts."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class StationSection(Section):
     deadline_ms: float | None = Field(
         default=None,
         gt=0,
-        description="how long after a frame's arrival its rows must be there; what is late is told. "
+        description="how long after a frame's arrival its rows must be there; a late one is reported. "
         "none: any time",
     )
     queue: int = Field(
@@ -97,7 +97,7 @@ class LineFile(Section):
         default=".", description="where runs, outbox and history are kept; relative to this file"
     )
     stations: list[StationSection] = Field(min_length=1, description="the cameras")
-    outlets: list[OutletSection] = Field(default_factory=list, description="who is told")
+    outlets: list[OutletSection] = Field(default_factory=list, description="who receives the rows")
     history: HistorySection | None = Field(
         default_factory=HistorySection, description="where every row is kept; null: nowhere"
     )

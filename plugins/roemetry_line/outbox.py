@@ -243,11 +243,6 @@ class Outbox:
                 ).fetchone()
         return int(found[0])
 
-    def open_check(self, station: str) -> int | None:
-        """Give the number of the check that a station has still to make; None where there is none."""
-        found = self._dicts("select n from checks where station = ? and ended is null", (station,))
-        return int(found[0]["n"]) if found else None
-
     def end_check(self, number: int, verdict: str, text: str) -> None:
         """Note what a check found."""
         with self._lock, _named(self._path):

@@ -14,14 +14,15 @@ from roemetry.errors import FAULTS, RoemetryError
 from roemetry.io.files import make_folder
 from roemetry.run.control_chart import calibration_doubts
 from roemetry.stages.hookspecs import Finding
-from roemetry_line import line_file
+from roemetry_line import history, line_file
 from roemetry_line.line_file import Line, NamedOutlet, Station
 from roemetry_line.outbox import FILE, Outbox
 from roemetry_line.process import runs_now
 
 _FRAME_S = 3.0
 """How long a frame is waited for: a line without products gives none, which is no fault."""
-_SILENT_S = 5.0
+_SILENT_S = 5.0  # several beats of a process that is alive
+_DRIVER_S = 60.0  # GigE cameras take up to 15 s to be given up
 
 
 def examine(path: Path) -> Iterator[Finding]:
@@ -29,7 +30,7 @@ def examine(path: Path) -> Iterator[Finding]:
     line = Line.load(path)
     yield Finding("line file", "ok", f"{line.name}: recipes and calibrations load, every stage is installed")
     for station in line.stations:
-        recipe = line_file.load_recipe(station.recipes[0], line.folder)
+        recipe = history.recipe_at_work(line, station)
         for doubt in calibration_doubts(recipe):
             yield Finding(f"station {station.name}, calibration", "wrong", doubt.text)
     if (line.folder / FILE).exists() and runs_now(line.folder):
@@ -46,7 +47,12 @@ def preflight(line: Line) -> Iterator[Finding]:
     """
     for station in line.stations:
         command = [sys.executable, "-m", "roemetry_line.preflight", str(line.path), station.name]
-        tried = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+        try:
+            tried = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False, timeout=_DRIVER_S)
+        except subprocess.TimeoutExpired:
+            said = f"the driver has not answered for {_DRIVER_S:g} s"
+            yield Finding(_called(station), "wrong", f"{line.place(*station.at, 'feed')}: {said}")
+            continue
         if tried.returncode:
             said = f"the driver ended the process with code {tried.returncode}; see what it printed above"
             yield Finding(_called(station), "wrong", f"{line.place(*station.at, 'feed')}: {said}")
@@ -112,7 +118,10 @@ def _running(line: Line) -> Iterator[Finding]:
     outbox = Outbox(line.folder)
     yield Finding("line", "ok", "it runs: cameras and receivers are its own, and this is what it says")
     now = time.time()
+    own = {f"station {one.name}" for one in line.stations} | {"outlets"} | ({"page"} if line.page else set())
     for component, told in sorted(outbox.health().items()):
+        if component not in own:
+            continue  # of a line file before this one
         silent_s = now - told["at"]
         well = silent_s < _SILENT_S
         yield Finding(

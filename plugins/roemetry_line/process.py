@@ -23,7 +23,7 @@ def runs_now(folder: Path) -> bool:
     try:
         with exclusive(folder):
             return False
-    except OutputError:
+    except (OutputError, PermissionError):  # its lock is there, or another user's
         return True
 
 

@@ -28,6 +28,8 @@ _RESTART_S = 0.5
 _STUCK_S = 10.0
 """A station that has not said anything for so long is stuck: systemd then starts the line again."""
 _STOP_S = 20.0
+_CHECK_S = 120.0
+"""Longer than a station waits for the frame of a check, and measures it."""
 """How long a process may take to stop, s; then it is killed."""
 
 
@@ -98,7 +100,7 @@ def serve(
                         f"{one.found} ({one.what})" + (f": {one.remedy}" if one.remedy else "")
                         for one in faults
                     ],
-                    hint="mend it; or start with --start-anyway: what is not there is tried on and on",
+                    hint="fix it, or use --start-anyway: the line starts and keeps trying what is missing",
                 )
         Supervisor(loaded).run()
 
@@ -113,11 +115,18 @@ def _check_block(line: Line, station: str) -> tuple[str, str]:
         raise ConfigurationError(f"{line.path}: the line does not run", hint=f"roemetry serve {line.path}")
     outbox = Outbox(line.folder)
     number = outbox.ask_check(station, "command line")
-    while True:
+    begin = time.monotonic()
+    while time.monotonic() - begin < _CHECK_S:
         time.sleep(_TICK_S)
         found = outbox.last_check(station)
         if found is not None and found["n"] >= number and found["ended"] is not None:
             return found["verdict"], found["text"]
+        if not runs_now(line.folder):
+            raise OutputError(f"{line.path}: the line has stopped", hint="start it, and ask again")
+    raise OutputError(
+        f"{line.path}: station {station} has not checked its block in {_CHECK_S:g} s",
+        hint=f"roemetry doctor {line.path}",
+    )
 
 
 class Supervisor:

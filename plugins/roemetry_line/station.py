@@ -15,6 +15,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -449,8 +450,10 @@ class StationProcess:
             self._note("calibration-check", said)
         else:
             self._alarm("calibration", said, "alarm" if verdict == "out" else "warning")
-        with self._lock:
-            self._next = self._next or self._loaded_now()
+        with suppress(RoemetryError):  # a recipe that is being edited is taken once it loads
+            recipe = self._loaded_now()
+            with self._lock:
+                self._next = self._next or recipe
 
     def _wanted(self) -> Path:
         """Give the recipe that was chosen on the page, where it is one of the line's; else the first."""

@@ -184,7 +184,7 @@ class Chart:
     def _damaged(self, error: Exception) -> DataError:
         return DataError(
             f"{self._path}: this is no control chart, or it is damaged: {error}",
-            hint="name another file; the checks begin anew there",
+            hint="name another file: a new chart begins there",
         )
 
 

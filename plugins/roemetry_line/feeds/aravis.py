@@ -148,6 +148,10 @@ class _Camera:
         try:
             _asked(getattr(arv, f"arv_camera_set_{kinds[type(value)]}"), self._camera, word, given)
         except _GlibError as error:
+            if type(value) is int:  # of a node of decimal numbers
+                with suppress(_GlibError):
+                    _asked(arv.arv_camera_set_float, self._camera, word, float(value))
+                    return
             raise refused(name, value, error) from error
 
     def _nodes(self) -> list[str]:
@@ -161,6 +165,7 @@ class _Camera:
     def started(self, buffers: int) -> int:
         """Start taking frames into so many buffers; give the stream."""
         arv = self._arv
+        stream = None
         try:
             stream = _asked(arv.arv_camera_create_stream, self._camera, None, None)
             size = _asked(arv.arv_camera_get_payload, self._camera)
@@ -168,6 +173,8 @@ class _Camera:
                 arv.arv_stream_push_buffer(stream, arv.arv_buffer_new_allocate(size))
             _asked(arv.arv_camera_start_acquisition, self._camera)
         except _GlibError as error:
+            if stream:
+                arv.g_object_unref(stream)
             raise DataError(f"the camera does not start: {error}", hint=HINT) from error
         return int(stream)
 

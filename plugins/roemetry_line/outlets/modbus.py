@@ -13,7 +13,7 @@ first.
 | 16 … 31 | the last result |
 | 32 … 47, 48 … 63, … | the seven results before it, the newest first |
 | 144 | shift register: number of products that are on their way to the gate |
-| 145 | number of products that were told after they had passed the gate |
+| 145 | number of products whose result came after they had passed the gate |
 | 146 … 149 | the product that reaches the gate next: encoder count, 32 bit; class; lane |
 | 150 … 153, … | the seven products after it, in the order in which they reach the gate |
 
@@ -40,7 +40,15 @@ from roemetry.records.live import LineRow
 from roemetry.stages import Capabilities, Outlet, StageOptions
 from roemetry_line.gate import ShiftRegister
 
-STATUS = {"measured": 1, "empty": 2, "failed": 3, "late": 4, "frame-incomplete": 5, "frames-lost": 6}
+STATUS = {
+    "measured": 1,
+    "empty": 2,
+    "failed": 3,
+    "late": 4,
+    "frame-incomplete": 5,
+    "frames-lost": 6,
+    "calibration-check": 7,
+}
 """What stands in a result's second register."""
 _RESULTS = 8
 _SIZE = 16

@@ -167,7 +167,7 @@ class _VisionSystem:
         """Let the state machines follow the line."""
         shown = "starting"
         while True:
-            with suppress(OutputError):  # its file cannot be read just now
+            with suppress(OutputError, ua.UaError):  # its file cannot be read just now, or the server stops
                 state = await asyncio.to_thread(line.state)
                 if state != shown:
                     await self._show_state(ua, vision, state)

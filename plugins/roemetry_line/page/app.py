@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import re
 import secrets
 import time
@@ -37,6 +38,7 @@ _STATIC = Path(__file__).parent / "static"
 _COOKIE = "roemetry_session"
 _BODY_MAX = 10_000
 _EVERY_S = 0.5
+_BEAT_S = 1.0  # as the other processes: what is written once a second is enough to see a death
 """How often what is shown is read anew, s."""
 _STREAMS_MAX = 50
 _TREND_HOURS_MAX = 24.0 * 31
@@ -98,11 +100,14 @@ class LinePage:
 
     async def poll(self) -> None:
         """Read what is shown, again and again, while somebody looks, and wake who waits for it."""
+        beaten = -math.inf
         while True:
-            try:
-                await run_in_threadpool(self._outbox.beat, "page", "running", {"looked_at_by": self._streams})
-            except RoemetryError as error:
-                log("error", "health-not-written", str(error))
+            if time.monotonic() - beaten > _BEAT_S:
+                beaten, figures = time.monotonic(), {"looked_at_by": self._streams}
+                try:
+                    await run_in_threadpool(self._outbox.beat, "page", "running", figures)
+                except RoemetryError as error:
+                    log("error", "health-not-written", str(error))
             if self._streams:
                 try:
                     self._state = await run_in_threadpool(snapshot_of, self._line, self._outbox)

@@ -128,6 +128,8 @@ def write(path: Path, measured: Measured) -> list[Path]:
         import cv2
 
         known = xyz[np.isfinite(xyz).all(axis=2)]
+        if not known.size:
+            raise DataError(f"{path}: no point was seen, there is nothing to write")
         low = known.min(axis=0)
         scale = np.maximum(np.ptp(known, axis=0) / 65533.0, 1e-6)
         grey = np.where(np.isfinite(xyz), np.rint((xyz - low) / scale) + 1.0, 0.0).astype(np.uint16)

@@ -61,7 +61,7 @@ class Checked:
         stop.set()
         running.join()
         assert not self.checks.takes(frame), "the next frame shows a product"
-        assert self.outbox.open_check("one") is None
+        assert self.outbox.last_check("one")["ended"] is not None
         return self.told[-1]
 
 
@@ -161,3 +161,21 @@ def test_a_laser_that_was_never_on_is_told() -> None:
     assert [laser.look(seen(0.0, many=0)) for _ in range(3)][-1] == (
         "no stripe is seen: is the laser on, and its window clean?"
     )
+
+
+def test_a_check_that_was_asked_for_long_ago_takes_no_products_frame(checked, rig, monkeypatch) -> None:
+    monkeypatch.setattr("roemetry_line.block_checks._FRAME_S", 0.0)
+    checked.outbox.ask_check("one", "otto")
+    stop = threading.Event()
+    running = threading.Thread(target=checked.checks.run, args=(stop,))
+    running.start()
+    for _ in range(400):
+        if checked.told:
+            break
+        stop.wait(0.02)
+    stop.set()
+    running.join()
+    assert not checked.checks.takes(block_of(rig, 12.0))
+    ((verdict, said),) = checked.told
+    assert verdict == "failed"
+    assert "no frame came" in said
