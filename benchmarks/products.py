@@ -187,7 +187,7 @@ def grades(found: Sequence[Row]) -> str:
     text = confusion(called, order, "made", sorted(NAMED, key=lambda defect: (defect != "none", defect)))
     stated = [grade.probability for _, grade in graded if math.isfinite(grade.probability)]
     said = f"{np.mean(stated):.1%}" if stated else "not stated"
-    right = sum(grade.label == NAMED[defect] for defect, grade in graded)
+    right = sum(grade.label == NAMED.get(defect, defect) for defect, grade in graded)
     good = [grade.label == "good" for defect, grade in graded if defect == "none"]
     caught = [grade.label != "good" for defect, grade in graded if defect != "none"]
     shown = [row.one.grade.label != "good" for row in found if row.one and row.one.grade
