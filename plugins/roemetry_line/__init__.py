@@ -13,7 +13,11 @@ from collections.abc import Iterable
 from roemetry.stages.hookspecs import StageEntry, VerbEntry, hookimpl
 
 _LINE = "pip install 'roemetry[line]'"
-_ARAVIS = "apt install libaravis-0.8-0"
+_OF_THEIR_OWN = {
+    "pypylon": "pip install 'roemetry[basler]'",
+    "libaravis-0.8.so.0": "apt install libaravis-0.8-0",
+}
+"""How what `roemetry[line]` does not bring is installed."""
 
 
 @hookimpl
@@ -37,7 +41,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
         ("outlet", "mqtt", "outlets.mqtt:Mqtt",
          "Messages to an MQTT broker, QoS 1", "MQTT 3.1.1 by paho-mqtt", "paho"),
         ("outlet", "modbus", "outlets.modbus:Modbus",
-         "Registers of a Modbus TCP server: last result, heartbeat", "Modbus TCP by pymodbus", "pymodbus"),
+         "Registers of a Modbus TCP server: last result, heartbeat", "our own"),
         ("outlet", "opcua", "outlets.opcua:OpcUa",
          "An OPC UA server: results as events and values", "OPC 40100-1 by asyncua", "asyncua"),
         ("outlet", "webhook", "outlets.webhook:Webhook",
@@ -51,7 +55,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
             f"roemetry_line.{target}",
             summary,
             reference,
-            requires=tuple((needed, _ARAVIS if ".so" in needed else _LINE) for needed in needs),
+            requires=tuple((needed, _OF_THEIR_OWN.get(needed, _LINE)) for needed in needs),
         )
 
 
