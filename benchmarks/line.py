@@ -10,21 +10,18 @@ Needs ``pip install 'roemetry[line,basler]'``. The figures are of one machine; t
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import signal
-import socket
 import sqlite3
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.line_faults import faults
+from benchmarks.line_faults import Receiver, faults
 
 ROOT = Path(__file__).parents[1]
 
@@ -49,48 +46,6 @@ outlets:
   - {{name: gate, use: tcp, options: {{port: {port}, content: all}}}}
 page: null
 """
-
-
-class Receiver:
-    """Takes rows and notes when; may be told to be gone."""
-
-    def __init__(self) -> None:
-        self.rows: list[tuple[str, float, float]] = []
-        """Key, when it arrived, when its frame had arrived; s since 1970."""
-        self.port = 0
-        self._open: list[socket.socket] = []
-        self.start()
-
-    def start(self) -> None:
-        """Listen, at the port of the last time."""
-        self._server = socket.create_server(("127.0.0.1", self.port))
-        self.port = self._server.getsockname()[1]
-        threading.Thread(target=self._serve, args=(self._server,), daemon=True).start()
-
-    def stop(self) -> None:
-        """Be gone, in the middle of whatever is being told."""
-        for one in (self._server, *self._open):
-            with contextlib.suppress(OSError):
-                one.shutdown(socket.SHUT_RDWR)
-            one.close()
-        self._open.clear()
-
-    def _serve(self, server: socket.socket) -> None:
-        while True:
-            try:
-                connection, _ = server.accept()
-            except OSError:
-                return
-            self._open.append(connection)
-            try:
-                with connection.makefile("rb") as lines:
-                    for line in lines:
-                        now = time.time()
-                        row = json.loads(line)
-                        self.rows.append((row["key"], now, row["taken"]["time_s"]))
-                        connection.sendall(f"ok {row['key']}\n".encode())
-            except (OSError, ValueError):
-                continue
 
 
 class Served:
@@ -144,12 +99,15 @@ class Served:
 def timed(seconds: float, rate: float, recipe: Path) -> None:
     """Run a line and print its times, losses and memory."""
     with tempfile.TemporaryDirectory() as folder:
-        receiver = Receiver()
+        taken_in: list[
+            tuple[str, float, float]
+        ] = []  # key, when it arrived, when its frame had; s since 1970
+        receiver = Receiver(0, lambda row: taken_in.append((row["key"], time.time(), row["taken"]["time_s"])))
         served = Served(Path(folder), recipe, rate, receiver)
         time.sleep(min(10.0, seconds / 4.0))
-        first, begin = served.memory_mb(), len(receiver.rows)
+        first, begin = served.memory_mb(), len(taken_in)
         time.sleep(seconds)
-        last, rows = served.memory_mb(), receiver.rows[begin:]
+        last, rows = served.memory_mb(), taken_in[begin:]
         served.stop()
         figures = served.figures()
         receiver.stop()
@@ -160,7 +118,7 @@ def timed(seconds: float, rate: float, recipe: Path) -> None:
     print(f"frame to receiver: p50 {p50:.1f} ms, p99 {p99:.1f} ms, worst {ms.max():.1f} ms")
     print(
         f"frames {figures['frames']}, lost {figures['lost']}, late {figures['late']}, products told "
-        f"{len({key for key, *_ in receiver.rows if '!' not in key})} of {figures['products']}; "
+        f"{len({key for key, *_ in taken_in if '!' not in key})} of {figures['products']}; "
         f"taking waited {figures['waited_s']:.2f} s"
     )
     for name in first:

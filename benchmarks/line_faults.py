@@ -92,15 +92,17 @@ class Arrivals:
 class Receiver:
     """A TCP receiver that can be gone, or be there and not answer."""
 
-    def __init__(self, port: int, arrivals: Arrivals) -> None:
-        self.port, self.arrivals = port, arrivals
+    def __init__(self, port: int, take: Callable[[dict[str, Any]], None]) -> None:
+        """Listen at a port (0: any that is free); `take` is given each row."""
+        self.port, self._take = port, take
         self.answers = True
         self._open: list[socket.socket] = []
         self.start()
 
     def start(self) -> None:
-        """Listen."""
+        """Listen, at the port of the last time."""
         self._server = socket.create_server(("127.0.0.1", self.port))
+        self.port = self._server.getsockname()[1]
         threading.Thread(target=self._serve, args=(self._server,), daemon=True).start()
 
     def stop(self) -> None:
@@ -123,11 +125,11 @@ class Receiver:
     def _answer(self, connection: socket.socket) -> None:
         with contextlib.suppress(OSError, ValueError), connection.makefile("rb") as lines:
             for line in lines:
-                key = json.loads(line)["key"]
+                row = json.loads(line)
                 if not self.answers:
                     return
-                self.arrivals.add(key)
-                connection.sendall(f"ok {key}\n".encode())
+                self._take(row)
+                connection.sendall(f"ok {row['key']}\n".encode())
 
 
 class Broker:
@@ -268,7 +270,7 @@ class Rounds:
             "mount", "-t", "tmpfs", "-o", f"size={DISK_MB}m", "line", str(self.data)
         )
         self.at_tcp, self.at_broker = Arrivals(folder / "tcp.txt"), Arrivals(folder / "mqtt.txt")
-        self.receiver = Receiver(port["tcp"], self.at_tcp)
+        self.receiver = Receiver(port["tcp"], lambda row: self.at_tcp.add(row["key"]))
         self.broker = (
             Broker(folder, port["mqtt"], self.at_broker)
             if shutil.which("mosquitto", path="/usr/sbin:/usr/bin")

@@ -45,6 +45,7 @@ from roemetry.records.calibration import Alignment, Calibration
 from roemetry.stages import Aligner, StageOptions
 from roemetry_kernels.compiling import float_kernel
 from roemetry_kernels.image_levels import median_of
+from roemetry_kernels.robust_fit import solve
 
 _STEPS = np.array([2.0, 5e-3, 5e-3, 2e-2])
 """Steps of the numerical derivatives, units of `PARAMETERS`: each moves a usual image's edge by one or two
@@ -444,26 +445,10 @@ def _fitted(
 
 @float_kernel
 def _solve(matrix: Floats, right: Floats, answer: Floats, before: Floats) -> None:
-    """Solve positive definite equations by Cholesky's method, and keep the last answer in `before`.
-
-    numpy's own solver takes three seconds to compile into a kernel.
-    """
-    count = right.shape[0]
-    root = np.zeros((count, count))
-    for i in range(count):
-        before[i], answer[i] = answer[i], right[i]
-        for j in range(i + 1):
-            left = matrix[i, j]
-            for k in range(j):
-                left -= root[i, k] * root[j, k]
-            root[i, j] = math.sqrt(left) if i == j else left / root[j, j]
-        for k in range(i):
-            answer[i] -= root[i, k] * answer[k]
-        answer[i] /= root[i, i]
-    for i in range(count - 1, -1, -1):
-        for k in range(i + 1, count):
-            answer[i] -= root[k, i] * answer[k]
-        answer[i] /= root[i, i]
+    """Solve positive definite equations, and keep the last answer in `before`."""
+    before[:] = answer
+    answer[:] = right
+    solve(matrix.copy(), answer)
 
 
 _OFF_BELT_PX = 2.0

@@ -140,6 +140,7 @@ class _Camera:
         self._parser = 0
 
     def set(self, name: str, value: bool | int | float | str) -> None:
+        """Set a node; raise as `no_node` and `refused` say."""
         arv, word = self._arv, name.encode()
         if not _asked(arv.arv_camera_is_feature_available, self._camera, word):
             raise no_node(name, self._nodes())

@@ -42,6 +42,18 @@ class Checked:
     checks: BlockChecks
     told: list[tuple[str, str]]
 
+    def until_told(self) -> None:
+        """Let the checks run without a frame until they say something."""
+        stop = threading.Event()
+        running = threading.Thread(target=self.checks.run, args=(stop,))
+        running.start()
+        for _ in range(400):
+            if self.told:
+                break
+            stop.wait(0.02)
+        stop.set()
+        running.join()
+
     def after(self, frame: Frame) -> tuple[str, str]:
         """Ask for a check, give a frame, and wait for what is told."""
         number = self.outbox.ask_check("one", "otto")
@@ -121,15 +133,7 @@ def test_a_block_is_measured_when_somebody_asks(checked, rig, tmp_path) -> None:
 def test_a_check_that_gets_no_frame_ends(checked, monkeypatch) -> None:
     monkeypatch.setattr("roemetry_line.block_checks._FRAME_S", 0.05)
     number = checked.outbox.ask_check("one", "otto")
-    stop = threading.Event()
-    running = threading.Thread(target=checked.checks.run, args=(stop,))
-    running.start()
-    for _ in range(200):
-        if checked.told:
-            break
-        stop.wait(0.02)
-    stop.set()
-    running.join()
+    checked.until_told()
     assert checked.told == [("failed", "the check block was not measured: no frame came within 0.05 s")]
     assert checked.outbox.last_check("one")["n"] == number
 
@@ -166,15 +170,7 @@ def test_a_laser_that_was_never_on_is_told() -> None:
 def test_a_check_that_was_asked_for_long_ago_takes_no_products_frame(checked, rig, monkeypatch) -> None:
     monkeypatch.setattr("roemetry_line.block_checks._FRAME_S", 0.0)
     checked.outbox.ask_check("one", "otto")
-    stop = threading.Event()
-    running = threading.Thread(target=checked.checks.run, args=(stop,))
-    running.start()
-    for _ in range(400):
-        if checked.told:
-            break
-        stop.wait(0.02)
-    stop.set()
-    running.join()
+    checked.until_told()
     assert not checked.checks.takes(block_of(rig, 12.0))
     ((verdict, said),) = checked.told
     assert verdict == "failed"
