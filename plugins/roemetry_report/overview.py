@@ -376,7 +376,8 @@ def _told(which: int, begin: int, end: int, margin: Floats) -> str:
 
 def _notes(stripes: StripeMap) -> tuple[str, ...]:
     refused = int(np.count_nonzero(stripes.peak_stripe == AMBIGUOUS))
-    said = [f"{refused} {'peak' if refused == 1 else 'peaks'} refused as ambiguous"] if refused else []
+    peaks = "peak" if refused == 1 else "peaks"
+    said = [f"{refused} {peaks} of the image refused as ambiguous"] if refused else []
     mine = (stripes.product > BELT) & stripes.seen & np.isfinite(stripes.margin)
     if mine.any():
         margin = np.where(mine, stripes.margin, np.inf)

@@ -276,7 +276,7 @@ def _coding(row: Measurement) -> tuple[tuple[str, str], ...]:
         ("stripes seen", f"{coding.stripes_seen} of {coding.stripes}"),
         ("peaks", str(coding.peaks)),
         ("labelled", _of(coding.coded, coding.peaks)),
-        ("ambiguous", _of(coding.ambiguous, coding.peaks)),
+        ("ambiguous, on the product" if row.product else "ambiguous", _of(coding.ambiguous, coding.peaks)),
         ("unlabelled (noise)", _of(coding.uncoded, coding.peaks)),
         ("saturated", percent(coding.saturated_share) + (" of the labelled" if coding.coded else "")),
     )

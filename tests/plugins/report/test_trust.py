@@ -84,7 +84,7 @@ def test_doubt_says_what_it_is_when_it_is_pointed_at(drawn) -> None:
     titles = re.findall("<title>(.*?)</title>", drawn.strips[1].drawing)
     assert titles == ["rows 10 to 13: margin from 0.35", "rows 14 to 19: margin from 0.60"]
     assert "least on a product: 0.35, stripe 1, row 10; 29 % of its points" in drawn.notes[0]
-    assert drawn.notes[1] == "3 peaks refused as ambiguous"
+    assert drawn.notes[1] == "3 peaks of the image refused as ambiguous"
 
 
 def test_classes_hold_their_own_limits() -> None:
