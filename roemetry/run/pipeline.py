@@ -173,12 +173,7 @@ class Pipeline:
             scene = Scene(acquisition.id, stripes, outlines, calibration, penetration)
             products = self._drawn(products, scene, steps, self._chain)
             products = tuple(_with_open_points(found, opened) for found in products)
-            if surfaces:
-                products = tuple(self._with_surface(found) for found in products)
-            if "grader" in self._stages:
-                products = tuple(
-                    self._decided(found, doubts[found.product.number], steps.seconds) for found in products
-                )
+            products = self._concluded(products, doubts, steps, surfaces)
         return Trace(
             acquisition_id=acquisition.id,
             acquisition=acquisition,
@@ -234,12 +229,7 @@ class Pipeline:
                 products = tuple(without_draws(found, approximate=False) for found in products)
             else:
                 products = self._drawn(products, scene, steps, chain)
-            if surfaces:
-                products = tuple(self._with_surface(found) for found in products)
-            if "grader" in self._stages:
-                products = tuple(
-                    self._decided(found, doubts[found.product.number], steps.seconds) for found in products
-                )
+            products = self._concluded(products, doubts, steps, surfaces)
         return Trace(
             acquisition_id=acquisition.id,
             acquisition=acquisition,
@@ -248,6 +238,19 @@ class Pipeline:
             absent=steps.absent,
             seconds=steps.seconds,
         )
+
+    def _concluded(
+        self, products: tuple[ProductTrace, ...], doubts: Mapping[int, Reason | None], steps: _Steps,
+        surfaces: bool,
+    ) -> tuple[ProductTrace, ...]:  # fmt: skip
+        """Add surfaces where they are asked for, and decisions where there is a grader."""
+        if surfaces:
+            products = tuple(self._with_surface(found) for found in products)
+        if "grader" in self._stages:
+            products = tuple(
+                self._decided(found, doubts[found.product.number], steps.seconds) for found in products
+            )
+        return products
 
     def _view_of(self, calibration: Calibration) -> View | None:
         """Give the view of a calibration; the recipe's own never changes, and neither does its view."""
