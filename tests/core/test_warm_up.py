@@ -23,7 +23,7 @@ if __name__ == "__main__":
 
 
 def test_kernels_are_compiled_once(root: Path, tmp_path: Path) -> None:
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "NUMBA_OPT": "0"}
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "NUMBA_OPT": "1"}
     environment.pop("NUMBA_DISABLE_JIT", None)
     script = tmp_path / "count.py"
     script.write_text(COUNT, encoding="utf-8")
