@@ -143,8 +143,8 @@ def history(
     loaded = Line.load(line, with_recipes=False)
     table = history_of(loaded)
     if parquet is not None:
-        for path in export_days(table, parquet):
-            typer.echo(str(path))
+        written = export_days(table, parquet)
+        typer.echo("\n".join(map(str, written)) or f"{parquet}: no completed day (UTC) that it does not have")
         return
     since_s = time.time() - 3600.0 * hours
     counts = counts_of(table, station, since_s)
