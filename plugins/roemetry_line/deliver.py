@@ -36,7 +36,7 @@ class Deliverer:
         self, named: NamedOutlet, line: Line, outbox: Outbox, news: threading.Condition, stop: threading.Event
     ) -> None:
         self.name = named.name
-        self._control = Control(line, outbox)
+        self._control = Control(line, outbox, named.name)
         self.state = "starting"
         self.delivered = 0
         self.waiting = 0

@@ -16,6 +16,7 @@ from roemetry.config.resolve import ResolvedStage, StageResolver
 from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError, MisfitError, RoemetryError
 from roemetry.io.yaml_source import Document, read
+from roemetry.records import Role
 from roemetry.stages.registry import discover
 from roemetry_line.gate import GateSection
 
@@ -33,6 +34,13 @@ class StationSection(Section):
         default_factory=list, description="further recipes that an engineer may choose on the page"
     )
     feed: Choice = Field(description="where frames come from")
+    lights: list[Role] = Field(
+        default_factory=lambda: ["laser"],
+        min_length=1,
+        max_length=3,
+        description="what lights the scene in the frames of one product, in the order in which they are "
+        "taken, each once, as in `[laser, plain]`",
+    )
     deadline_ms: float | None = Field(
         default=None,
         gt=0,
@@ -116,6 +124,11 @@ class LineFile(Section):
                 for index, name in enumerate(named)
                 if again[name] > 1 and name in named[:index]
             ]
+        faults += [
+            (("stations", index, "lights"), "`laser` must be among them, and each once")
+            for index, one in enumerate(self.stations)
+            if "laser" not in one.lights or len(set(one.lights)) < len(one.lights)
+        ]
         if self.history is not None:
             faults += [
                 (("outlets", index, "name"), f"`{HISTORY}` is the history's own name")
