@@ -74,10 +74,12 @@ def gather(
                     first_fault = first_fault or error
                 continue
             here = (np.array(list(group))[:, None] * count + np.arange(count)).ravel()
-            x_px[here], x_std_px[here], seen[here] = (
+            of_lines, std_px, known = (
                 values.reshape(len(group), -1)[:, : count * rows].reshape(-1, rows)
                 for values in (found.x_px, found.x_std_px, found.seen)
             )
+            # a coder joins product to belt by a straight line; the assembler knows what lies between
+            x_px[here], x_std_px[here], seen[here] = np.where(known, of_lines, np.nan), std_px, known
             reach = found.correlation_rows
             followed += len(group)
     if not followed:
