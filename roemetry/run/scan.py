@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from roemetry.errors import RoemetryError, StageError
-from roemetry.records import NOTHING, Acquisition, Frame, Product, Profiles, Reason, ScanLines, StripeMap
+from roemetry.records import NOTHING, Acquisition, Frame, Profiles, Reason, ScanLines, StripeMap
 from roemetry.records.arrays import Integers
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
@@ -186,10 +186,9 @@ class Placing:
         return found
 
 
-def cut_by_scan(product: Product) -> Reason | None:
+def cut_by_scan(profiles: Profiles, number: int) -> Reason | None:
     """Say why nothing can be stated of a product that the scan's first or last line still shows."""
-    label = product.profiles.product
-    if not len(label) or not ((label[0] > 0).any() or (label[-1] > 0).any()):
+    if not (profiles.product[[0, -1]] == number).any():
         return None
     return Reason(
         "cut-by-scan",
