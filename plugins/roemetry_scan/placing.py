@@ -174,9 +174,11 @@ def _on_belt(profiles: Profiles, plane: Floats) -> Profiles:
     """Lay Z = 0 on a plane z = a + b·x + c·y of the slices."""
     turn, point = frame_on(plane)
     normal = profiles.plane[:, :3]
+    xyz_mm = profiles.xyz_mm @ turn.T
+    xyz_mm -= turn @ point
     return replace(
         profiles,
-        xyz_mm=(profiles.xyz_mm - point) @ turn.T,
+        xyz_mm=xyz_mm,
         plane=np.column_stack([normal @ turn.T, profiles.plane[:, 3] - normal @ point]),
     )
 
