@@ -119,8 +119,7 @@ def history(
         from roemetry_line.days import write_days
 
         written = write_days(table, loaded.name, parquet)
-        typer.echo("
-".join(map(str, written)) or f"{parquet}: no completed day (UTC) that it does not have")
+        typer.echo("\n".join(map(str, written)) or f"{parquet}: no completed day (UTC) that it does not have")
         return
     since_s = time.time() - 3600.0 * hours
     counts = counts_of(table, loaded.name, station, since_s)
