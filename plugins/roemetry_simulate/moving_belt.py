@@ -18,7 +18,6 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property, partial
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -140,6 +139,8 @@ class MovingBelt(Simulator[MovingBeltOptions]):
 
     def frames(self, drawn: Drawn | None, seed: int) -> Iterator[tuple[Floats, Floats, NDArray[Any]]]:
         """Give of each line where it shows, how brightly, and the frame."""
+        import cv2
+
         rng = np.random.default_rng([seed, 89])
         options, sensor = self.options, self._rig.sensor
         white = 2**sensor.bit_depth - 1
