@@ -28,6 +28,8 @@ from roemetry.run.rows import measurements_of
 ROOT = Path(__file__).resolve().parents[1]
 GOLDEN = ROOT / "tests" / "golden"
 RECIPES = (
+    "belt_scan/height_map",
+    "belt_scan/recipe",
     "bread_roll/recipe",
     "egg/recipe",
     "fish_fillet/recipe",

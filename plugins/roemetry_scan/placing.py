@@ -115,7 +115,7 @@ class BeltMotion(Assembler[BeltOptions]):
 
     def label(self, profiles: Profiles, own: tuple[int, int] | None = None) -> Profiles:
         """Lay Z = 0 on the belt that is seen, and number the products that begin in the own lines."""
-        known = np.isfinite(profiles.xyz_mm).all(axis=2)
+        known: Flags = np.asarray(np.isfinite(profiles.xyz_mm).all(axis=2))
         if np.count_nonzero(known) < 3:
             raise StageError(
                 "nothing is seen: every height is marked as not known",

@@ -8,7 +8,7 @@ followed downwards to the body's surface or the belt; the point counts if projec
     x(row) exact,    grey(column) = b + A·cos i·exp(−(column − x)² / 2s²)·grain
 
 with the angle of incidence i and the line's width s in px: a thousandth of the time of the ray caster, with
-the same geometry and the same noise of the sensor. Left out: texture, gloss, blur at edges, reflections.
+the same geometry, noise of the sensor and blur along the line. Left out: texture, gloss, reflections.
 """
 
 from __future__ import annotations
@@ -37,6 +37,8 @@ from roemetry_simulate.targets import calibration_truth_of, take_target
 
 Floats = NDArray[np.float64]
 
+_BLUR_ROWS = 7
+"""Rows that a lens blurs over, at most."""
 _BESIDE_PX = 20.0
 """Half the distance of the two places that give a row's line in the plane of light, px."""
 
@@ -137,6 +139,8 @@ class MovingBelt(Simulator[MovingBeltOptions]):
 
     def frames(self, drawn: Drawn | None, seed: int) -> Iterator[tuple[Floats, Floats, NDArray[Any]]]:
         """Give of each line where it shows, how brightly, and the frame."""
+        import cv2
+
         rng = np.random.default_rng([seed, 89])
         options, sensor = self.options, self._rig.sensor
         white = 2**sensor.bit_depth - 1
@@ -144,6 +148,8 @@ class MovingBelt(Simulator[MovingBeltOptions]):
         for x_px, bright in self.crossings(drawn, seed):
             light = np.full((self._rig.camera.height_px, self._rig.camera.width_px), self._rig.ambient_grey)
             _draw(x_px, bright * grey[:, None], options.scan.line_sigma_px, light)
+            # along the line the lens blurs as well: no edge is sharper than it draws
+            light = cv2.GaussianBlur(light, (1, _BLUR_ROWS), 0.0, sigmaY=sensor.psf_sigma_px)
             if sensor.speckle_contrast:
                 grain = 1.0 + sensor.speckle_contrast * rng.standard_normal(light.shape)
                 light = np.maximum(light + (light - self._rig.ambient_grey) * (grain - 1.0), 0.0)
