@@ -64,6 +64,7 @@ class Spool:
         self._run = run
         self._keep_bytes = keep_gb * 1e9
         self._count = 0
+        self._before: Frame | None = None
         make_folder(run / _IMAGES)
         description = Description(
             roemetry_dataset=1, name=run.name, licence="LicenseRef-own", notes="spooled"
@@ -74,7 +75,8 @@ class Spool:
         """Write a frame; give it as it will be read again, and its hash, as they stand in a record."""
         self._count += 1
         name = f"{self._count:06d}"
-        acquisition = Acquisition(name, (frame,))
+        acquisition = Acquisition(name, (frame,), before=self._before and self._before.pixels)
+        self._before = frame
         if self._keep_bytes == 0:
             return acquisition, {}
         content = tiff_of(frame.pixels)
