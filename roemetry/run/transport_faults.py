@@ -11,9 +11,9 @@ a line thinner than a pixel are sharp. A join that crosses no stripe on a produc
 
 Repeats. Noise makes every frame another one, too, where it shows light: stretches of a row that are to the
 last grey level what they were in the frame before have not been taken anew. A frame that is the very same as
-a whole is left alone: then a file was copied. Where many single words of eight bytes repeat, too, JPEG has
-left too little noise to tell; below a quality of 20 it is refused as if a part were repeated. What comes from
-another frame than the one before is not seen.
+a whole is left alone: then a file was copied. Where many single words of eight bytes repeat, too, or are those
+of the row above, there is too little noise to tell: JPEG takes it away. What comes from another frame than
+the one before is not seen.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ _VARIED_GREY = 8
 _RUNS_MIN = 16
 """Stretches that repeat: less than a small block, and more than any of 61 whole pairs of frames has."""
 _ALONE_SHARE = 0.5
-"""As many words that repeat alone, of the stretches: parts of another frame have up to 0.09 (JPEG of quality
-75: 0.2), whole frames that JPEG has robbed of their noise 1.6 and more."""
+"""As many words that repeat alone, of the stretches: parts of another frame have up to 0.6 in small ones and
+0.09 in large ones, whole frames that JPEG has robbed of their noise 1.6 and more."""
 
 
 def check_repeats(laser: Frame, before: NDArray[Any]) -> None:
@@ -91,8 +91,10 @@ def check_repeats(laser: Frame, before: NDArray[Any]) -> None:
     others = ~level
     others[:, : count * _RUN] &= ~np.repeat(near, _RUN, axis=1)
     others[:, count * _RUN :] = False
-    varied = _varied(new[others][:, None])
-    if np.count_nonzero(again[others][varied]) > _ALONE_SHARE * len(row):
+    alone = new[others & again]
+    as_above = new[1:][(new[1:] == new[:-1]) & ~level[1:]]
+    by_accident = _varied(np.concatenate([alone, as_above])[:, None])
+    if np.count_nonzero(by_accident) > _ALONE_SHARE * len(row):
         return
     raise DataError(
         f"{laser.name}: from row {row.min()} to row {row.max()} a part of the image is to the last grey level "
@@ -112,7 +114,7 @@ def _words(pixels: NDArray[Any]) -> NDArray[np.uint64]:
 
 def _varied(stretches: NDArray[np.uint64]) -> NDArray[np.bool_]:
     """Say over which stretches, (stretch, word), light varies."""
-    grey = np.ascontiguousarray(stretches).view(np.uint8).reshape(len(stretches), -1)
+    grey = np.ascontiguousarray(stretches).view(np.uint8).reshape(len(stretches), 8 * stretches.shape[1])
     return np.asarray(grey.max(axis=1, initial=0) - grey.min(axis=1, initial=255) >= _VARIED_GREY)
 
 
