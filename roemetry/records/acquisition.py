@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -139,5 +139,5 @@ class AcquisitionReference:
 
     id: str
     files: Mapping[Role, Path]
-    before: Path | None = None
+    before: Path | None = field(default=None, kw_only=True)
     """The laser image that was taken before this one."""

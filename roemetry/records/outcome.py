@@ -254,9 +254,7 @@ class Decision:
     """Why, a code and a sentence for each class that was asked about."""
 
 
-def _require_amount(
-    check: Checker, name: str, unit: str, value: Number, reasons: tuple[Reason, ...]
-) -> None:
+def _require_amount(check: Checker, name: str, unit: str, value: Number, reasons: tuple[Reason, ...]) -> None:
     """Require that an amount is not negative, and that there is a reason where it is NaN."""
     check.require(not value < 0.0, f"the {name} is {value:g} {unit}, less than nothing")
     check.require(bool(reasons) or not math.isnan(value), f"the {name} is NaN, and no reason says why")

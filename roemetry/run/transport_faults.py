@@ -11,8 +11,8 @@ a line thinner than a pixel are sharp. A join that crosses no stripe on a produc
 
 Repeats. Noise makes every frame another one, too, where it shows light: stretches of a row that are to the
 last grey level what they were in the frame before have not been taken anew. A frame that is the very same as
-a whole is left alone: then a file was copied. Where many single words of eight bytes repeat, too, or are those
-of the row above, there is too little noise to tell: JPEG takes it away. What comes from another frame than
+a whole is left alone: then a file was copied. Where many single words of eight bytes repeat, too, or are
+those of the row above, there is too little noise to tell: JPEG takes it away. What comes from another frame than
 the one before is not seen.
 """
 
@@ -97,8 +97,9 @@ def check_repeats(laser: Frame, before: NDArray[Any]) -> None:
     if np.count_nonzero(by_accident) > _ALONE_SHARE * len(row):
         return
     raise DataError(
-        f"{laser.name}: from row {row.min()} to row {row.max()} a part of the image is to the last grey level "
-        "that of the image before, which no sensor's noise allows: one of the two holds a part of the other",
+        f"{laser.name}: from row {row.min()} to row {row.max()} a part of the image is, to the last grey "
+        "level, that of the image before, which no sensor's noise allows: one of the two holds a part of "
+        "the other",
         hint="look at cable, network and frame grabber; take the image again",
     )
 

@@ -58,7 +58,7 @@ def volume_of(visible_mm3: float) -> Volume:
         slice_stripe=np.arange(1, 4),
         slice_area_mm2=np.full(3, visible_mm3 / 30.0),
         slice_spacing_mm=np.full(3, 10.0),
-        reasons=(Reason("unknown", "nothing is known"),) if math.isnan(visible_mm3) else (),
+        reasons=(Reason("no-volume", "nothing is known"),) if math.isnan(visible_mm3) else (),
     )
 
 
