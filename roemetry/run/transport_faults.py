@@ -12,8 +12,8 @@ a line thinner than a pixel are sharp. A join that crosses no stripe on a produc
 Repeats. Noise makes every frame another one, too, where it shows light: stretches of a row that are to the
 last grey level what they were in the frame before have not been taken anew. A frame that is the very same as
 a whole is left alone: then a file was copied. Where many single words of eight bytes repeat, too, or are
-those of the row above, there is too little noise to tell: JPEG takes it away. What comes from another frame than
-the one before is not seen.
+those of the row above, there is too little noise to tell: JPEG takes it away. What comes from another
+frame than the one before is not seen.
 """
 
 from __future__ import annotations
