@@ -480,8 +480,8 @@ def _speed(results: Results) -> str:
     ]  # fmt: skip
     each = ["5 % quickest", "times window-tracking"]
     return (
-        "## Time of a frame\n640 × 480, time on the processor, one thread, medians of frames coded in turns. "
-        f"Milliseconds move with the load of the machine, ratios less.\n{_about(found)}\n"
+        "## Time of a frame\n640 × 480, time on the processor, one thread, medians of frames labelled in "
+        f"turns. Milliseconds move with the load of the machine, ratios less.\n{_about(found)}\n"
         + table(["coder", "11 stripes, ms", *each, "21 stripes, ms", *each], rows)
     )
 

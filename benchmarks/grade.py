@@ -50,7 +50,7 @@ NAMES = {
     "ours": "our skeins, random rigs",
     "lofted": "skeins of `mitsuba`, random rigs",
     "rendered": "skeins of the rendered set, random rigs",
-    "recipe-like": "our skeins, traced and coded",
+    "recipe-like": "our skeins, traced and labelled",
     "dense": "the same, 21 stripes, three times the noise",
 }
 

@@ -464,6 +464,7 @@ _FIT_ROUNDS, _FIT_WITHIN = 12, 0.4
 _FIT_PAIRS_MIN = 50
 _TURN_MAX = math.radians(45.0)
 """What turns by more is not taken for the same stripe, nor for its neighbour, rad."""
+# rows that the two may share, and spacings that they may lie apart, where one goes on in the other
 _OVERLAP_ROWS, _FACES = 15, 1.5
 _BORDER_SPACINGS = 0.5  # an end so near to the image's side may be a stripe that leaves it
 _BORDER_ROWS = 3  # the same at top and bottom: extractors leave out the first and last row

@@ -22,7 +22,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
         ("sink", "csv", "product_table:CsvTable",
          "results.csv: a line a product, units in the headings"),
         ("sink", "points", "points:Points",
-         "points/<acquisition>.csv: every coded point, in pixels and, where calibrated, millimetres"),
+         "points/<acquisition>.csv: every labelled point, in pixels and, where calibrated, millimetres"),
         ("sink", "parquet", "product_table:Parquet",
          "results.parquet: a line a product with every feature, typed, for data frames", "pyarrow"),
         ("sink", "point-cloud", "points:PointCloud",

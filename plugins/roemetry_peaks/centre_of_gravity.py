@@ -63,7 +63,7 @@ class CentreOfGravity(Extractor[CentreOfGravityOptions]):
         )
 
 
-_PASSES = 3
+_PASSES = 3  # of the window around the centre of the pass before
 _SIGMAS_MIN = 0.75  # what is left of a window at the border: less says next to nothing
 
 

@@ -35,7 +35,7 @@ FAILED, FITTED, CLIPPED = 0, 1, 2
 """State of a peak: no fit; a fit; a fit without its saturated pixels."""
 
 _FIRST_STEPS = 1  # on the window of the start values
-_STEPS_MAX = 14
+_STEPS_MAX = 14  # at most; the last answer stands if it has not come to rest
 _LAST_STEPS = 5  # at most, without outliers
 _ENOUGH = 0.1  # of its standard uncertainty: a centre that moves by less rests
 _OUTLIER = 5.0  # standard deviations; pixels beyond are left out of the last steps

@@ -36,7 +36,7 @@ from roemetry.stages import Smoother, StageOptions
 from roemetry_kernels.compiling import kernel
 
 _OF_SECOND_DIFFERENCE = 0.6745 * math.sqrt(6.0)  # median size of white noise's second differences
-_POINTS_MIN = 3
+_POINTS_MIN = 3  # rows of a run: with fewer there is no second difference
 
 
 class LocalPolynomialOptions(StageOptions):
@@ -130,7 +130,7 @@ def _reach(before: Floats, after: Floats, length: float) -> float:
     return max(own / left / (2.0 * math.sqrt(math.pi)), length) if left < 1.0 else length
 
 
-_FEW = 3
+_FEW = 3  # rows on either side, for a line and its scatter
 
 
 class Points(NamedTuple):
@@ -250,7 +250,7 @@ def _misfit(
 _STEP_REACH = 8  # rows on either side that a step is judged by
 _STEP_STDS = 4.0  # a step is one if it is so many standard deviations high
 _OUTLIER_STDS = 4.5  # a row is left out if it is so far from what its neighbours foretell
-_FEW_AT_BREAK = 3
+_FEW_AT_BREAK = 3  # rows of either side of a break: the same
 
 
 @kernel

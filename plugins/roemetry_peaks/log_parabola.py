@@ -240,7 +240,7 @@ def _uncertainties(v: Floats, by_1: Floats, by_2: Floats, alike: Floats, noise: 
 
 _FRACTION_BITS = 52  # of a float64, below those of its exponent
 _FRACTION = (1 << _FRACTION_BITS) - 1
-_BIAS = 1023
+_BIAS = 1023  # of a float64's exponent (IEEE 754)
 _ONE = _BIAS << _FRACTION_BITS
 _LN_2 = 0.6931471805599453
 _SQRT_2 = 1.4142135623730951

@@ -32,7 +32,7 @@ from roemetry_peaks.peak_scan import (
 )
 from roemetry_peaks.searching import Area
 
-FWHM_OF_SIGMA = 2.354820045030949
+FWHM_OF_SIGMA = 2.354820045030949  # √(8 ln 2), of a Gaussian
 
 _FEET_FROM = 3.6  # standard deviations from the middle: what lies farther out is background
 _FEET_PX = 8  # pixels on each side that the background is taken from

@@ -33,8 +33,8 @@ NOISE_LEFT = math.sqrt(924.0 / 4096.0 * 6.0 / 16.0)
 """Standard deviation of white noise after smoothing, over before."""
 _SEPARATE = 0.45  # two peaks are two where the valley between is deeper than this share of the lower one
 _PEAKS_A_ROW = 32  # room made at first
-_BLOCK_PX = 8
-_QUIET_QUANTILE = 0.25
+_BLOCK_PX = 8  # a block is shorter than the belt between two stripes
+_QUIET_QUANTILE = 0.25  # the quietest quarter of the blocks lies between stripes
 _QUIET_SHARE = 0.5218  # that quantile of the mean square of a block of the noise filter, for white noise
 _LAPLACIAN_SQUARES = 36.0  # sum of squares of the noise filter's weights
 

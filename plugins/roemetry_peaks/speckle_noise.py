@@ -250,7 +250,7 @@ def _sums_of_lengths() -> tuple[Floats, Floats]:
 CAUSES = 6
 """Read noise, shot noise, speckle within a pixel, and of pixels 1, 2 and 3 apart."""
 _OUTLIER = 8.0  # times what a peak's other residuals are: it says nothing of the noise
-_PIXELS_MIN = 6
+_PIXELS_MIN = 6  # of a peak: three more than what its fit takes up
 
 Pixels = NDArray[Any]
 Bytes = NDArray[np.uint8]

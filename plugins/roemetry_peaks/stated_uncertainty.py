@@ -42,6 +42,7 @@ from numpy.typing import NDArray
 from roemetry.records import EDGE, SATURATED, Reason
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
+from roemetry_peaks.peak_window import FWHM_OF_SIGMA
 from roemetry_peaks.smoothed_peaks import background_noise, neighbours
 
 _LAG = 10
@@ -91,7 +92,6 @@ _LONG = 0.08
 0.11 for speckle of 0.8 px, 0.04 for 1 px, less for longer."""
 _CORE = 2.0
 """Standard deviations on both sides of the centre where residuals are taken: farther out is background."""
-_FWHM = 2.3548200450309493
 
 
 def corrected(
@@ -137,10 +137,10 @@ def corrected(
         pick = pick[:: max(1, pick.size // _SAMPLE)]
         if not pick.size:
             continue
-        sigma = width_px[pick] / _FWHM
+        sigma = width_px[pick] / FWHM_OF_SIGMA
         share = _lopsided(image, row[pick], x_px[pick], amplitude[pick], background[pick], sigma)
         if share * _median(sigma) > _MATTERS * _median(std[pick]):
-            std = np.where(group, np.hypot(std, share / _FWHM * width_px), std)
+            std = np.where(group, np.hypot(std, share / FWHM_OF_SIGMA * width_px), std)
             reasons = (*reasons, _SKEWED)
     return std, tuple(dict.fromkeys(reasons))
 
@@ -207,7 +207,7 @@ def _is_noise(
     """
     pick = np.flatnonzero(use)
     pick = pick[:: max(1, pick.size // _SAMPLE)]
-    of_peak = row[pick], x_px[pick], amplitude[pick], background[pick], width_px[pick] / _FWHM
+    of_peak = row[pick], x_px[pick], amplitude[pick], background[pick], width_px[pick] / FWHM_OF_SIGMA
     if _median(_residual_std(image, *of_peak) / x_std_px[pick]) > _MORE:
         return True
     height, one = np.log(np.maximum(amplitude, 1e-3)), np.ones(amplitude.size)

@@ -36,6 +36,7 @@ from roemetry.records.stripes import EDGE, SATURATED
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import inlined, kernel
 from roemetry_kernels.image_levels import SHARE_MIN, doubts, faint, grey, plain_layout, scaled_level
+from roemetry_peaks.peak_window import FWHM_OF_SIGMA
 from roemetry_peaks.searching import SearchOptions, searched
 from roemetry_peaks.smoothed_peaks import background_noise, rounding_variance
 
@@ -138,16 +139,15 @@ def _filters(sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 _STEEPEST = 10.0  # px a row: a stripe that leans more hardly crosses rows
 _LONG = 0.5  # a ridge's curvature along itself over that across; blobs have 1
-_WITHIN_PX = 0.6
-_APART_PX = 1.0
+_WITHIN_PX = 0.6  # Steger's half pixel and some more, or noise lets a ridge fall between two pixels
+_APART_PX = 1.0  # ridge points of a row that are nearer are of one ridge
 _STRONGER = 3.0  # times: next to a ridge so much stronger another one is its shadow
 _SEPARATE = 0.4  # of a ridge's height above the lower valley, that it must have above the higher one
 _SHADOW = 4.0  # standard deviations of the smoothing within which that is asked
 _LIT = 0.4  # of a ridge's height in the smoothed image, that its own row must have
 _LIT_NOISES = 4.0  # standard deviations of three pixels' mean, that it must have at least
-_STEP_PX = 0.5
-_REACH_PX = 60.0
-_FWHM = 2.3548200450309493
+_STEP_PX = 0.5  # along the normal, where the height is halved
+_REACH_PX = 60.0  # and how far that is looked for
 _LENGTH = 2.0  # of the smoothing's standard deviation, in rows, that a ridge is long at least
 _GONE_PX = 1.0  # from where the ridge was leading, that its crossing of the next row may lie
 _MISSING = 1  # rows without a crossing, that a ridge is followed over
@@ -413,14 +413,14 @@ def _measure(smooth: Smooth, x: float, y: int, nx: float, ny: float, limits: Flo
         if not level > -np.inf:
             return False
         halves[side] = distance - _STEP_PX * (half - level) / (before - level)
-    variance = ((halves[0] + halves[1]) / _FWHM) ** 2 - sigma * sigma
-    if variance <= 0.0 or not narrow <= _FWHM * math.sqrt(variance) <= wide:
+    variance = ((halves[0] + halves[1]) / FWHM_OF_SIGMA) ** 2 - sigma * sigma
+    if variance <= 0.0 or not narrow <= FWHM_OF_SIGMA * math.sqrt(variance) <= wide:
         return False
     background = 0.5 * (valleys[0] + valleys[1])
     out[0] = (top - background) * math.sqrt((variance + sigma * sigma) / variance)
     out[1] = background
     out[3] = top - background
-    out[2] = _FWHM * math.sqrt(variance)
+    out[2] = FWHM_OF_SIGMA * math.sqrt(variance)
     return True
 
 
@@ -457,8 +457,8 @@ BORDER = 2.0
 """Standard deviations of the smoothing: so near the first or the last row it is."""
 _AWAY = 0.75  # standard deviations of the smoothing from where the ridge leads, that its crossing may lie
 _END_LIT = 0.25  # of the height, that all three pixels in the middle have
-_STEPS = 6
-_RESTS_PX = 1e-4
+_STEPS = 6  # of Newton's method at most
+_RESTS_PX = 1e-4  # a step so short is the last
 _END_REACH = 4.0  # standard deviations of the smoothing
 
 

@@ -60,7 +60,7 @@ class ZeroCrossing(Extractor[ZeroCrossingOptions]):
         return found(frame, self.options, zero_crossings, half_length, beyond_linear=_BEYOND_LINEAR)
 
 
-_LENGTH_OF_SIGMA = 1.6
+_LENGTH_OF_SIGMA = 1.6  # of a half of the filter, over the stripe's standard deviation
 
 
 @float_kernel

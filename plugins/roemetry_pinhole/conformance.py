@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from roemetry.testing import LinearRig
 
 
-_FAR_MM = 1e7
-_NEAR_MM = 300.0
+_FAR_MM = 1e7  # a camera ten kilometres up sees in parallel
+_NEAR_MM = 300.0  # and one at a usual distance
 _BOARD = Board("board", "chessboard", columns=9, rows=6, pitch_mm=5.5, tolerance_mm=0.01, flatness_mm=0.01)
 _POSES = 8
 _SAMPLES = 4

@@ -55,7 +55,7 @@ _POINTS_MIN = 60
 _EXPLAINED_MIN = 0.15
 """Share of the peaks at the balls' heights that must lie on balls: in images with the plate's level and
 shadows it is 0.28 to 0.38, without them above 0.7."""
-_MAD_TO_STD = 1.4826
+_MAD_TO_STD = 1.4826  # of normal scatter
 
 
 @dataclass(frozen=True, eq=False, slots=True)

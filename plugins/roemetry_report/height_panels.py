@@ -19,6 +19,7 @@ _COLOURS = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], 
 """Red, green, blue from low to high: even in lightness, and told apart by every eye."""
 _LIGHT = np.array([-0.5, 0.5, 0.7071])
 """Where the light of the shading comes from."""
+# of a section's picture and its margins, units of the SVG
 _WIDTH, _HEIGHT, _LEFT, _BOTTOM, _TOP = 520.0, 200.0, 46.0, 34.0, 26.0
 
 

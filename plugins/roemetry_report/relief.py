@@ -128,11 +128,12 @@ def _map(shown: ReliefMap, relief: Relief, letter: str) -> Panel:
     unit = f", {shown.unit}" if shown.unit else ""
     size = max(abs(low), abs(high))
     digits = 3 if size < 0.2 else 2 if size < 2 else 1 if size < 20 else 0
-    note = f"from {plain(float(known.min()), digits)} to {plain(float(known.max()), digits)}"
+    least, most = plain(float(known.min()), digits), plain(float(known.max()), digits)
+    note = f"from {least} to {most}"
     body = [_raster(shown.values, relief, colours, ends), _edge(relief, "map-edge")]
     if shown.arrows is not None:
         body.append(_arrows(shown.arrows, relief))
-    body += _legend(relief, colours, ends, (low, high), digits)
+    body += _legend(relief, colours, ends, (low, high), (least, most), digits)
     label = f"Map of {shown.title}{unit} over the product; {note}"
     drawing = svg.view(body, _box(relief, legend=True), label, "plan")
     notes = (note, *(("white: not known",) if known.size < shown.values.size else ()))
@@ -212,9 +213,13 @@ def _legend(
     colours: Sequence[str],
     ends: tuple[float, float],
     range_: tuple[float, float],
+    extremes: tuple[str, str],
     digits: int,
 ) -> list[Markup]:
-    """Draw the colours of the values the map holds, no others, with both ends and 0 where it lies between."""
+    """Draw the colours of the values the map holds, no others, with both ends and 0 where it lies between.
+
+    `extremes` are the map's least and greatest value: an end that stands for values beyond it says so.
+    """
     x0, _, width, _ = _box(relief, legend=True)
     y = -float(relief.xy_mm[..., 1].min()) + 4.0
     low, high = range_ if range_[1] > range_[0] else ends
@@ -226,10 +231,13 @@ def _legend(
         for k, (r, g, b) in enumerate(shades)
     ]
     zero = -low / (high - low)
-    marked = [0.0, 1.0, *([zero] if 0.15 < zero < 0.85 else [])]
+    words = {share: plain(low + share * (high - low), digits) for share in (0.0, 1.0)}
+    for share, sign, extreme in zip((0.0, 1.0), "≤≥", extremes, strict=True):
+        words[share] = words[share] if words[share] == extreme else f"{sign} {words[share]}"
+    if 0.15 < zero < 0.85:
+        words[zero] = plain(0.0, digits)
     return parts + [
-        svg.text(left + share * 0.5 * width, y + 6.2, plain(low + share * (high - low), digits), "plan-words")
-        for share in marked
+        svg.text(left + share * 0.5 * width, y + 6.2, word, "plan-words") for share, word in words.items()
     ]
 
 

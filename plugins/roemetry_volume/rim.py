@@ -16,7 +16,8 @@ _SPREAD_FLOOR_MM = 0.2  # no end knows the rim better: its last lit row lies up 
 _UPRIGHT_LEAST = 0.35  # of the ends' uprightness (0 a slope, 1 a dome) at the median
 _WALL_SLOPE, _WALL_MM = 12.0, 1.0  # steeper than a dome is from row to row, over at least so much
 _RIDGE = np.array([0.0, 0.05, 0.05, 0.2])
-_SCATTER_LEAST_MM, _ROUNDS = 0.1, 8
+"""Of the terms 1, s, s² and v of the rim: a few ends hold its tilt across the product worst."""
+_SCATTER_LEAST_MM, _ROUNDS = 0.1, 8  # ends scatter by more; rounds of reweighting
 
 
 class StripePoints(NamedTuple):
@@ -148,9 +149,9 @@ def middle_of(values: Floats) -> float:
     return 0.5 * float(ordered[(ordered.size - 1) // 2] + ordered[ordered.size // 2])
 
 
-_STEPS = 25
-_LEAST = 6
-_LEAST_ROOT_MM = 0.25
+_STEPS = 25  # of the rim's height, from the belt to an end's lowest point
+_LEAST = 6  # points of an end: two more than its three unknowns and the scatter
+_LEAST_ROOT_MM = 0.25  # a root's slope is infinite at 0: nearer the rim a misfit counts as it does here
 _LEVEL_MM2 = 0.25  # a surface that falls by less than half a millimetre ends in an edge, as a box does
 
 

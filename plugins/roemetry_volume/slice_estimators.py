@@ -241,7 +241,7 @@ def _shares(slices: Slices, caps: list[Cap]) -> Shares:
 
 
 _UNSEARCHED_ROWS = 1  # at the image's top and bottom: extractors may leave them out
-_BELOW_MM = 1.0
+_BELOW_MM = 1.0  # a slice of a smaller depth below the belt is noise, or a worn belt
 
 
 def reasons_of(product: Product, slices: Slices, caps: Sequence[float] = ()) -> tuple[Reason, ...]:

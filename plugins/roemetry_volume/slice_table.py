@@ -13,9 +13,9 @@ from roemetry.records import Product, Profiles
 from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import float_kernel, kernel
 
-LEAST_SLICES = 3
+LEAST_SLICES = 3  # for a course between them and its bend
 _CLEFT_SLICES = 3  # single skeins, dented and folded ones too, fall deep on one stripe at most
-_SUNKEN_MM = 1.0
+_SUNKEN_MM = 1.0  # below its neighbours, from which on a slice counts as a cleft
 
 
 class Slices(NamedTuple):

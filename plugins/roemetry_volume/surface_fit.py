@@ -342,12 +342,12 @@ def _gauss(count: int) -> tuple[Floats, Floats]:
     return nodes, weights
 
 
-CELL_MM = 2.5
-STIFFNESS = 0.1
-_RIDGE = 1e-6
+CELL_MM = 2.5  # of the grid of bending terms: products bend over some centimetres
+STIFFNESS = 0.1  # of the bending against the points' misfit; the budget has what a stiffer plate would change
+_RIDGE = 1e-6  # against cells that no point holds
 _COURSE_RIDGE = 1e-10  # of the points' weight: places are counted in cells
 _BELIEF = 10.0  # a dome's quadric leaves 0.2 % of the scatter, a skein's 7 %, that of steps nearly all
-_GROUP = 5
+_GROUP = 5  # neighbouring points of a slice whose mean is one knot
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -28,7 +28,8 @@ def warm_up(recipe: Recipe, on_progress: Callable[[int, int], None] = lambda don
     recipe
         Whose stages, with its options.
     on_progress
-        Called with (stages done, of how many); never where nothing is to be done.
+        Called with (kernels done, of how many), stage by stage; never where nothing is to be done. Kernels
+        take about as long as one another, stages do not.
 
     Returns
     -------
@@ -43,18 +44,22 @@ def warm_up(recipe: Recipe, on_progress: Callable[[int, int], None] = lambda don
     if not cold:
         return []
     cold.sort(key=lambda kind: -len(kernels[kind]))  # the longest first: nothing waits for it at the end
-    on_progress(0, len(cold))
+    cost = {kind: len(kernels[kind]) for kind in cold}
+    done, total = 0, sum(cost.values())
+    on_progress(done, total)
     processes = min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1, len(cold))
     if processes == 1:
-        for done, kind in enumerate(cold, 1):
+        for kind in cold:
             _call(recipe.stages[kind].make())
-            on_progress(done, len(cold))
+            done += cost[kind]
+            on_progress(done, total)
         return cold
     # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
     with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
-        calls = [pool.submit(_call, recipe.stages[kind].make()) for kind in cold]
-        for done, _ in enumerate(as_completed(calls), 1):
-            on_progress(done, len(cold))
+        calls = {pool.submit(_call, recipe.stages[kind].make()): cost[kind] for kind in cold}
+        for call in as_completed(calls):
+            done += calls[call]
+            on_progress(done, total)
     return cold
 
 

@@ -112,7 +112,7 @@ def _tilted(
 
 _NEWTON_STEPS = 30  # a place that is not found by then lies at the fold or beyond it
 _NEWTON_RESIDUAL = 1e-13  # on the plane at distance 1: some 1e-10 px
-_NEWTON_LAST = 1e-8
+_NEWTON_LAST = 1e-8  # a step squares the residual: from here one more is the last
 _MISSED_MAX = 1e-9  # the same; a place that is missed by more lies beyond the fold
 
 

@@ -322,7 +322,7 @@ class Outliner(Stage[OptionsT]):
         plain
             The image in plain light, turned alike, in colour if it was taken so; None where there is none.
         stripes
-            The coded stripes.
+            The labelled stripes.
         calibration
             None where the recipe has none.
         """

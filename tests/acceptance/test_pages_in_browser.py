@@ -116,7 +116,7 @@ def recipe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     """A shipped recipe with few products."""
     line, _, name = request.param.partition("/")
     folder = tmp_path_factory.mktemp("pages") / line
-    shutil.copytree(HOME / line, folder, ignore=shutil.ignore_patterns("comparison"))
+    shutil.copytree(HOME / line, folder)
     if (items := folder / "data" / "items.jsonl").exists():
         items.write_text("".join(items.read_text("utf-8").splitlines(keepends=True)[:PRODUCTS]), "utf-8")
     for images in folder.glob("images*"):

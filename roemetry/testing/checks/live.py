@@ -11,7 +11,7 @@ from roemetry.records.live import LineRow, LiveFrame
 from roemetry.stages import Feed, Outlet
 from roemetry.testing.verdict import refused, require
 
-_WAIT_S = 10.0
+_WAIT_S = 10.0  # longer than any feed takes for its first frames
 
 
 def check_frames_come_in_order(feed: Feed[Any]) -> None:
