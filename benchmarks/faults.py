@@ -185,7 +185,8 @@ def scenes_of(recipe: Recipe, count: int) -> Iterator[Scene]:
 
 def judged(recipe: Recipe, scene: Scene, laser: NDArray[np.uint8], plain: NDArray[np.uint8] | None) -> Case:
     """Measure images of a scene; what is said of the largest product against the truth."""
-    rows = recipe.measure(laser, plain=plain, name=scene.name)
+    before = None if scene.other is None else scene.other.laser
+    rows = recipe.measure(laser, plain=plain, before=before, name=scene.name)
     volumes = [(row, row.volume) for row in rows if row.volume is not None]
     if not volumes:
         codes = {reason.code for row in rows for reason in (*row.absent.values(), *row.reasons)}

@@ -12,7 +12,7 @@ from roemetry.config.dataset import DESCRIPTION, ITEMS, Dataset
 from roemetry.errors import DataError
 from roemetry.records import Acquisition, AcquisitionReference, Sensor
 from roemetry.stages import Source, StageOptions
-from roemetry_files.image_files import read_image
+from roemetry_files.image_files import in_turn, keep_for_next, pixels_before, read_image
 
 
 class DatasetSource(Source[StageOptions]):
@@ -37,14 +37,14 @@ class DatasetSource(Source[StageOptions]):
             found[item.id] = AcquisitionReference(item.id, files)
         if not found:
             raise DataError(f"{data.folder / ITEMS}: the data set has no item")
-        return list(found.values())
+        return in_turn(found.values())
 
     def read(self, reference: AcquisitionReference) -> Acquisition:
         """Read the images of one item; raise DataError for one that is missing or damaged."""
         folder = _folder_of(next(iter(reference.files.values())))
         changed_ns = (folder / ITEMS).stat().st_mtime_ns
         taken, sensor = _taken(folder, changed_ns)[reference.id], _sensor(folder, changed_ns)
-        frames = []
+        before, frames = pixels_before(reference), []
         for role, path in reference.files.items():
             frame = read_image(path, role)
             bits = frame.bit_depth if taken.bit_depth is None else taken.bit_depth
@@ -57,7 +57,8 @@ class DatasetSource(Source[StageOptions]):
                     sensor=sensor,
                 )
             )
-        return Acquisition(reference.id, tuple(frames))
+        keep_for_next(reference, frames)
+        return Acquisition(reference.id, tuple(frames), before=before)
 
 
 class _Taken(NamedTuple):

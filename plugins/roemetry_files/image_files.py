@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,16 +50,17 @@ class ImageFiles(Source[ImageFilesOptions]):
                 hint=f"source.path is a file, a folder or a pattern of {', '.join(SUFFIXES)}",
             )
         stems = Counter(file.stem for file in files)
-        return [
+        return in_turn(
             self._reference(file, printable(file.stem if stems[file.stem] == 1 else file.name))
             for file in files
-        ]
+        )
 
     def read(self, reference: AcquisitionReference) -> Acquisition:
         """Decode the files of one acquisition; raise DataError for one that is missing or damaged."""
-        return Acquisition(
-            reference.id, tuple(read_image(path, role) for role, path in reference.files.items())
-        )
+        before = pixels_before(reference)
+        frames = tuple(read_image(path, role) for role, path in reference.files.items())
+        keep_for_next(reference, frames)
+        return Acquisition(reference.id, frames, before=before)
 
     def _reference(self, file: Path, name: str) -> AcquisitionReference:
         files: dict[Role, Path] = {"laser": file}
@@ -67,6 +69,36 @@ class ImageFiles(Source[ImageFilesOptions]):
             if pattern is not None:
                 files[role] = file.parent / pattern.replace("{id}", file.stem)
         return AcquisitionReference(name, files)
+
+
+def in_turn(references: Iterable[AcquisitionReference]) -> list[AcquisitionReference]:
+    """Say in each which laser image was taken before it: that of the one before in the list."""
+    listed: list[AcquisitionReference] = []
+    for one in references:
+        listed.append(replace(one, before=listed[-1].files.get("laser")) if listed else one)
+    return listed
+
+
+_last: dict[Path, NDArray[Any]] = {}
+"""The laser image that was read last: most often the one before the next."""
+
+
+def keep_for_next(reference: AcquisitionReference, frames: Sequence[Frame]) -> None:
+    """Keep a laser image that was read, so that it need not be read again as the one before."""
+    _last.clear()
+    _last.update({reference.files[frame.role]: frame.pixels for frame in frames if frame.role == "laser"})
+
+
+def pixels_before(reference: AcquisitionReference) -> NDArray[Any] | None:
+    """Give the pixels of the laser image before a reference's; None where it cannot be read."""
+    path = reference.before
+    if path is None:
+        return None
+    kept = _last.get(path)
+    try:
+        return read_image(path).pixels if kept is None else kept
+    except DataError:  # what is wrong with it stands in its own row
+        return None
 
 
 PIXELS_MAX = 2**28

@@ -129,8 +129,10 @@ class FittedWeight(Weigher[FittedWeightOptions]):
         if rng is not None:
             drawn = rng.standard_t(model.degrees_of_freedom) / model.student_std
             return Weight(Estimate(value + std * drawn), reasons, features)
+        if value < 0.0:
+            return Weight(Estimate(math.nan), (_NEGATIVE, *reasons), features)
         if not value > 0.0:
-            return Weight(Estimate(math.nan if value < 0.0 else value), reasons, features)
+            return Weight(Estimate(value), reasons, features)
         from scipy.stats import t
 
         half = std / model.student_std * float(t.ppf(0.975, model.degrees_of_freedom))
@@ -325,6 +327,7 @@ def weight_options() -> FittedWeightOptions:
 
 
 _NO_MODEL = Reason("no-weight-model", "there is no model yet: the features are measured, the mass is not")
+_NEGATIVE = Reason("negative-weight", "the model would give less than nothing: it does not hold here")
 
 
 def fit_weights(samples: Samples, *, form: str = "auto") -> Fitted:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -124,6 +124,9 @@ class Acquisition(Shown):
     """Of a scan: its lines, each with its encoder count; `frames` is then empty."""
     profiles: Profiles | None = None
     """Of a sensor that gives heights: its slices, in which belt and products are not told apart yet."""
+    before: NDArray[Any] | None = None
+    """Pixels of the laser image that was taken before this one, as acquired; None where there is none: a
+    transport's fault may leave a part of it in this one."""
 
     def frame(self, role: Role) -> Frame | None:
         """Give the first frame with this role, or None."""
@@ -136,3 +139,5 @@ class AcquisitionReference:
 
     id: str
     files: Mapping[Role, Path]
+    before: Path | None = field(default=None, kw_only=True)
+    """The laser image that was taken before this one."""

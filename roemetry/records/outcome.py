@@ -147,9 +147,7 @@ class Volume(Shown):
         check.array("slice_spacing_mm", np.float64, (slices,))
         for name, volume in (("visible", self.visible_mm3), ("true", self.true_mm3)):
             if volume is not None:
-                check.require(
-                    not volume.value < 0.0, f"the {name} volume is {volume.value:g} mm³, less than nothing"
-                )
+                _require_amount(check, f"{name} volume", "mm³", volume.value, self.reasons)
         check.finish()
 
 
@@ -183,7 +181,8 @@ class Weight:
 
     def __post_init__(self) -> None:
         check = Checker(self)
-        check.require(not self.mass_g.value < 0.0, f"the mass is {self.mass_g.value:g} g, less than nothing")
+        _require_amount(check, "mass", "g", self.mass_g.value, self.reasons)
+        _require_no_infinite(check, self.features)
         check.finish()
 
 
@@ -236,6 +235,8 @@ class Grade(Shown):
         check.require(bool(self.label.strip()), "the label is empty; a class that is not known is `unknown`")
         within = math.isnan(self.probability) or 0.0 <= self.probability <= 1.0
         check.require(within, f"the probability is {self.probability}, expected 0…1, or NaN")
+        _require_no_infinite(check, self.features)
+        _require_no_infinite(check, self.features_std)
         check.finish()
 
 
@@ -251,3 +252,15 @@ class Decision:
     """The classes it may be of; one where it is decided."""
     reasons: tuple[Reason, ...] = ()
     """Why, a code and a sentence for each class that was asked about."""
+
+
+def _require_amount(check: Checker, name: str, unit: str, value: Number, reasons: tuple[Reason, ...]) -> None:
+    """Require that an amount is not negative, and that there is a reason where it is NaN."""
+    check.require(not value < 0.0, f"the {name} is {value:g} {unit}, less than nothing")
+    check.require(bool(reasons) or not math.isnan(value), f"the {name} is NaN, and no reason says why")
+
+
+def _require_no_infinite(check: Checker, features: Mapping[str, Number]) -> None:
+    """Require that features are numbers, or NaN."""
+    bad = ", ".join(name for name, value in features.items() if math.isinf(value))
+    check.require(not bad, f"infinite: {bad}")

@@ -64,6 +64,7 @@ class Recipe(CheckedRecipe):
         *,
         plain: NDArray[Any] | None = None,
         dark: NDArray[Any] | None = None,
+        before: NDArray[Any] | None = None,
         name: str = "image",
     ) -> tuple[Measurement, ...]:
         """Measure one image that is in memory.
@@ -76,6 +77,8 @@ class Recipe(CheckedRecipe):
             colours counts.
         plain, dark
             The same scene under plain light, and with the laser off; same size as `laser`.
+        before
+            The laser image that was taken before this one: an image that holds a part of it is refused.
         name
             What to call it: the measurements' ids begin with it.
 
@@ -89,7 +92,7 @@ class Recipe(CheckedRecipe):
         DataError
             An array is not an image.
         """
-        trace = self.trace(laser, plain=plain, dark=dark, name=name, surfaces=False)
+        trace = self.trace(laser, plain=plain, dark=dark, before=before, name=name, surfaces=False)
         return measurements_of(trace, self, self.hashes, self._doubts)
 
     def trace(
@@ -98,6 +101,7 @@ class Recipe(CheckedRecipe):
         *,
         plain: NDArray[Any] | None = None,
         dark: NDArray[Any] | None = None,
+        before: NDArray[Any] | None = None,
         name: str = "image",
         surfaces: bool = True,
     ) -> Trace:
@@ -116,7 +120,7 @@ class Recipe(CheckedRecipe):
             if pixels is not None
             for image in (_array(pixels, role),)
         )
-        return self._pipeline.trace(Acquisition(name, frames), surfaces=surfaces)
+        return self._pipeline.trace(Acquisition(name, frames, before=before), surfaces=surfaces)
 
     @cached_property
     def _pipeline(self) -> Pipeline:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from roemetry.errors import DataError
 from roemetry.records import Acquisition, Frame, Sensor
-from roemetry.run.transport_faults import check_lines
+from roemetry.run.transport_faults import check_lines, check_repeats
 
 _BLUE_GREEN_RED = {"blue": 0, "green": 1, "red": 2}
 _LUMA = np.array([0.114, 0.587, 0.299])  # ITU-R BT.601, in the order blue, green, red
@@ -63,6 +63,8 @@ def prepare(
     if bit_depth is None and laser.bit_depth == 16:
         _check_bits_in_use(laser)
     check_lines(laser)
+    if acquisition.before is not None:
+        check_repeats(laser, acquisition.before)
     pixels = _one_channel(laser, channel, contrast, turn_deg)
     if subtract == "dark":
         dark = acquisition.frame("dark")

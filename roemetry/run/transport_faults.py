@@ -8,6 +8,12 @@ it changes by all of that at once, at many places along one boundary between two
 hardly beside it, two frames were joined there; where it changes to and fro, lines of two frames alternate.
 Edges of products and shadows are blurred, too, and lie along rows or columns by accident only; both flanks of
 a line thinner than a pixel are sharp. A join that crosses no stripe on a product is not seen here.
+
+Repeats. Noise makes every frame another one, too, where it shows light: stretches of a row that are to the
+last grey level what they were in the frame before have not been taken anew. A frame that is the very same as
+a whole is left alone: then a file was copied. Where many single words of eight bytes repeat, too, or are
+those of the row above, there is too little noise to tell: JPEG takes it away. What comes from another
+frame than the one before is not seen.
 """
 
 from __future__ import annotations
@@ -49,6 +55,68 @@ _STEP_SHARE, _STEP_MIN = 0.25, 0.05
 _SPARSE, _SPARSE_SHARE = 4, 0.3
 """Every fourth line is looked at first, and all only if these show a third of a join's steps: of 77 whole
 images none does, and of 311 joins that all lines show none is missed."""
+
+
+_RUN = 4
+"""Words of eight bytes one after another that repeat: 32 pixels of a grey image."""
+_VARIED_GREY = 8
+"""Light varies over a stretch that spans so many grey levels: a stripe, whose photon noise is a few."""
+_RUNS_MIN = 16
+"""Stretches that repeat: less than a small block, and more than any of 61 whole pairs of frames has."""
+_ALONE_SHARE = 0.5
+"""As many words that repeat alone, of the stretches: parts of another frame have up to 0.6 in small ones and
+0.09 in large ones, whole frames that JPEG has robbed of their noise 1.6 and more."""
+
+
+def check_repeats(laser: Frame, before: NDArray[Any]) -> None:
+    """Refuse a frame of which a part is the frame before; `before` as acquired, like `laser`."""
+    if before.shape != laser.pixels.shape or before.dtype != laser.pixels.dtype:
+        return
+    new, old = _words(laser.pixels), _words(before)
+    again = new == old
+    level = new == (new & np.uint64(0xFF)) * _SAME_BYTES
+    count = again.shape[1] // _RUN
+    runs = (again[:, : count * _RUN].reshape(len(again), count, _RUN)).all(axis=2)
+    runs &= ~level[:, : count * _RUN].reshape(len(again), count, _RUN).all(axis=2)
+    row, run = runs.nonzero()
+    if len(row) < _RUNS_MIN:
+        return
+    stretches = new[:, : count * _RUN].reshape(len(again), count, _RUN)[row, run]
+    row = row[_varied(stretches)]
+    if len(row) < _RUNS_MIN or again.all():
+        return
+    near = runs.copy()  # the rest of a part's rows is no accident
+    near[:, 1:] |= runs[:, :-1]
+    near[:, :-1] |= runs[:, 1:]
+    others = ~level
+    others[:, : count * _RUN] &= ~np.repeat(near, _RUN, axis=1)
+    others[:, count * _RUN :] = False
+    alone = new[others & again]
+    as_above = new[1:][(new[1:] == new[:-1]) & ~level[1:]]
+    by_accident = _varied(np.concatenate([alone, as_above])[:, None])
+    if np.count_nonzero(by_accident) > _ALONE_SHARE * len(row):
+        return
+    raise DataError(
+        f"{laser.name}: from row {row.min()} to row {row.max()} a part of the image is, to the last grey "
+        "level, that of the image before, which no sensor's noise allows: one of the two holds a part of "
+        "the other",
+        hint="look at cable, network and frame grabber; take the image again",
+    )
+
+
+_SAME_BYTES = np.uint64(0x0101010101010101)
+
+
+def _words(pixels: NDArray[Any]) -> NDArray[np.uint64]:
+    """View rows as words of eight bytes, (row, word); what is left at a row's end is cut off."""
+    rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(len(pixels), -1)
+    return np.ascontiguousarray(rows[:, : rows.shape[1] // 8 * 8]).view(np.uint64)
+
+
+def _varied(stretches: NDArray[np.uint64]) -> NDArray[np.bool_]:
+    """Say over which stretches, (stretch, word), light varies."""
+    grey = np.ascontiguousarray(stretches).view(np.uint8).reshape(len(stretches), 8 * stretches.shape[1])
+    return np.asarray(grey.max(axis=1, initial=0) - grey.min(axis=1, initial=255) >= _VARIED_GREY)
 
 
 def check_lines(laser: Frame) -> None:

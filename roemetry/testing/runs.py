@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -57,6 +58,7 @@ def volume_of(visible_mm3: float) -> Volume:
         slice_stripe=np.arange(1, 4),
         slice_area_mm2=np.full(3, visible_mm3 / 30.0),
         slice_spacing_mm=np.full(3, 10.0),
+        reasons=(Reason("no-volume", "nothing is known"),) if math.isnan(visible_mm3) else (),
     )
 
 

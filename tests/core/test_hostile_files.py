@@ -17,7 +17,7 @@ from roemetry.errors import DataError, RoemetryError
 from roemetry.io.yaml_source import parse, read_numbers
 from roemetry.records import Acquisition, Frame
 from roemetry.run.preprocess import prepare
-from roemetry.run.transport_faults import check_joins
+from roemetry.run.transport_faults import check_joins, check_repeats
 
 HOME = Path(__file__).parents[2] / "recipes"
 TEXTS = [path.read_bytes() for path in sorted(HOME.glob("*/*.yaml")) if path.stat().st_size < 4000]
@@ -152,3 +152,24 @@ def test_a_row_of_numbers_amid_a_longer_value_is_read_as_yaml_reads_it(tmp_path:
         read_numbers(path)
     path.write_text("a: x\n  - [2.0, 3.0]\n  y\n", "utf-8")
     assert read_numbers(path) == {"a": "x - [2.0, 3.0] y"}
+
+
+@pytest.mark.parametrize("noise_grey", [2.0, 0.0], ids=["noise", "no noise"])
+@pytest.mark.parametrize("part", [np.s_[:, 200:], np.s_[60:140, 64:256], np.s_[::2]])
+def test_a_part_of_the_frame_before_refuses_the_image(
+    part: tuple[slice, ...], noise_grey: float, rng: np.random.Generator
+) -> None:
+    light = 12.0 + 180.0 * (np.arange(320) % 16 < 3)
+    new, before = (
+        np.clip(rng.normal(light, noise_grey, (200, 320)), 0, 255).astype(np.uint8) for _ in range(2)
+    )
+    frame = Frame(new, name="frame")
+    check_repeats(frame, before)
+    check_repeats(frame, new)  # the very same file, copied
+    torn = new.copy()
+    torn[part] = before[part]
+    if noise_grey:
+        with pytest.raises(DataError, match="that of the image before"):
+            check_repeats(replace(frame, pixels=torn), before)
+    else:
+        check_repeats(replace(frame, pixels=torn), before)

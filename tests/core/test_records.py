@@ -95,6 +95,7 @@ def test_bit_depth_must_fit() -> None:
 
 texts = st.text(max_size=20)
 reasons = st.lists(st.builds(Reason, texts, texts), max_size=3).map(tuple)
+whys = st.lists(st.builds(Reason, texts, texts), min_size=1, max_size=3).map(tuple)
 parts = st.floats(0.0, 1e300) | st.just(math.nan)
 estimates = st.builds(Estimate, parts, parts, st.dictionaries(texts, parts, max_size=3))
 
@@ -117,9 +118,9 @@ def test_a_measurement_comes_back_from_its_line(data: st.DataObject) -> None:
             np.arange(slices),
             np.linspace(0, 1, slices),
             np.ones(slices),
-            data.draw(reasons),
+            data.draw(whys),
         ),
-        weight=Weight(data.draw(estimates), data.draw(reasons)),
+        weight=Weight(data.draw(estimates), data.draw(whys)),
         grade=Grade(
             data.draw(st.text(min_size=1).filter(str.strip)),
             data.draw(st.floats(0.0, 1.0)),
@@ -152,7 +153,11 @@ def test_a_line_that_is_no_measurement(line: str) -> None:
         (lambda: Shares(0.9, 0.3, 0.0), "add up to 1"),
         (lambda: Volume(Estimate(-4321.0), None, Shares(1.0, 0.0, 0.0)), "visible volume is -4321 mm³"),
         (lambda: Volume(Estimate(1.0), Estimate(-2.0), Shares(1.0, 0.0, 0.0)), "true volume is -2 mm³"),
+        (lambda: Volume(Estimate(math.nan), None, Shares(1.0, 0.0, 0.0)), "volume is NaN, and no reason"),
         (lambda: Weight(Estimate(-7.0)), "mass is -7 g"),
+        (lambda: Weight(Estimate(math.nan)), "mass is NaN, and no reason"),
+        (lambda: Weight(Estimate(1.0), features={"ml_per_g": math.inf}), "infinite: ml_per_g"),
+        (lambda: Grade("good", features={"length_mm": math.inf}), "infinite: length_mm"),
         (lambda: Grade("good", 7.0), "probability is 7.0"),
         (lambda: Grade(" "), "label is empty"),
     ],
