@@ -191,7 +191,7 @@ def measure_all(
     """
     for found in executor.in_order(_Worker, (recipe, debug, kept), references):
         if isinstance(found, Lost):
-            why = Reason("worker-died", found.why)
+            why = Reason("process-died", found.why)
             yield [failed(found.task.id, "source", why, recipe.hashes).to_json()], {}
         else:
             yield found

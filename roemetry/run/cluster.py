@@ -32,8 +32,8 @@ from roemetry.run.executors import Lost, Result, Task
 LOCAL = "local"
 """The address of a cluster that is started on this machine for the run."""
 
-_CHUNK_S = 0.1
-"""Work that is handed over at once, s: long beside the millisecond that a task costs the scheduler."""
+_CHUNK_S = 0.5
+"""Work that is handed over at once, s: long beside the 6 ms that a chunk costs scheduler and client."""
 _CHUNK_MAX = 200
 """Tasks at once, at most: what is done again where a worker dies."""
 _WAITING_PER_THREAD = 4

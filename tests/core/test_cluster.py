@@ -103,7 +103,7 @@ def test_a_lost_image_is_one_failed_row(line: Any, tmp_path: Path) -> None:
     assert outcome.counts == {"measured": 2, "empty": 0, "failed": 1}
     rows = list(read_record(tmp_path / "out"))
     assert [row.acquisition for row in rows] == ["p01", "p02", "p03"]
-    assert [reason.code for reason in rows[1].reasons] == ["worker-died"]
+    assert [reason.code for reason in rows[1].reasons] == ["process-died"]
 
 
 def test_workers_with_other_software_are_refused_before_the_first_task(
