@@ -32,7 +32,8 @@ folder: data
 stations:
   - name: cam
     recipe: {recipe}
-    deadline_ms: 50
+    lights: {lights}
+    deadline_ms: {deadline_ms}
     feed:
       use: basler
       options:
@@ -51,10 +52,19 @@ page: null
 class Served:
     """A line that runs in a folder."""
 
-    def __init__(self, folder: Path, recipe: Path, rate: float, receiver: Receiver) -> None:
+    def __init__(self, folder: Path, recipe: Path, rate: float, receiver: Receiver, plain: bool) -> None:
         self.folder = folder
-        images = ROOT / "recipes" / "herring_roe" / "images"
-        text = LINE.format(recipe=recipe, rate=rate, images=images, port=receiver.port)
+        images, lights, deadline_ms = ROOT / "recipes" / "herring_roe" / "images", ["laser"], 50
+        if plain:
+            images, lights, deadline_ms = _in_turn(folder / "images", images), ["laser", "plain"], 1000
+        text = LINE.format(
+            recipe=recipe,
+            rate=rate,
+            images=images,
+            port=receiver.port,
+            lights=lights,
+            deadline_ms=deadline_ms,
+        )
         (folder / "line.yaml").write_text(text, "utf-8")
         self.log = (folder / "log.jsonl").open("w")
         command = [sys.executable, "-m", "roemetry", "serve", str(folder / "line.yaml"), "--start-anyway"]
@@ -96,14 +106,23 @@ class Served:
         self.log.close()
 
 
-def timed(seconds: float, rate: float, recipe: Path) -> None:
+def _in_turn(folder: Path, images: Path) -> Path:
+    """Give a folder in which each laser image is followed by the one in plain light."""
+    folder.mkdir()
+    for laser in sorted(images.glob("*.png")):
+        (folder / f"{laser.stem}-1.png").symlink_to(laser)
+        (folder / f"{laser.stem}-2.png").symlink_to(images.parent / "images_plain" / laser.name)
+    return folder
+
+
+def timed(seconds: float, rate: float, recipe: Path, plain: bool) -> None:
     """Run a line and print its times, losses and memory."""
     with tempfile.TemporaryDirectory() as folder:
         taken_in: list[
             tuple[str, float, float]
         ] = []  # key, when it arrived, when its frame had; s since 1970
         receiver = Receiver(0, lambda row: taken_in.append((row["key"], time.time(), row["taken"]["time_s"])))
-        served = Served(Path(folder), recipe, rate, receiver)
+        served = Served(Path(folder), recipe, rate, receiver, plain)
         time.sleep(min(10.0, seconds / 4.0))
         first, begin = served.memory_mb(), len(taken_in)
         time.sleep(seconds)
@@ -115,7 +134,10 @@ def timed(seconds: float, rate: float, recipe: Path) -> None:
     ms = 1e3 * np.array([arrived - taken for _, arrived, taken in products])
     p50, p99 = np.percentile(ms, [50, 99])
     print(f"{recipe.name}, {rate:g} frames/s for {seconds:g} s: {len(products)} products at the receiver")
-    print(f"frame to receiver: p50 {p50:.1f} ms, p99 {p99:.1f} ms, worst {ms.max():.1f} ms")
+    print(
+        f"frame to receiver: mean {ms.mean():.1f} ms, p50 {p50:.1f} ms, p99 {p99:.1f} ms "
+        f"({p99 / ms.mean() - 1.0:+.0%} of the mean), worst {ms.max():.1f} ms"
+    )
     print(
         f"frames {figures['frames']}, lost {figures['lost']}, late {figures['late']}, products told "
         f"{len({key for key, *_ in taken_in if '!' not in key})} of {figures['products']}; "
@@ -130,17 +152,28 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--rate", type=float, default=30.0, help="frames a second")
+    parser.add_argument(
+        "--plain",
+        action="store_true",
+        help="every second frame in plain light, as with_outline.yaml wants it",
+    )
     parser.add_argument("--recipe", type=Path, default=ROOT / "recipes" / "herring_roe" / "recipe.yaml")
     parser.add_argument(
         "--rounds", type=int, default=0, help="rounds of faults instead, at 10 frames a second"
     )
     parser.add_argument("--folder", type=Path, default=Path("build/line-faults"), help="what the rounds keep")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--outage", type=float, default=60.0, help="how long broker, database and subscribers are gone, s"
+    )
     given = parser.parse_args()
     if given.rounds:
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit("stopped; the same command goes on"))
         rate = min(given.rate, 10.0)
-        sys.exit(1 if faults(given.rounds, rate, given.recipe.resolve(), given.seed, given.folder) else 0)
-    timed(given.seconds, given.rate, given.recipe.resolve())
+        recipe = given.recipe.resolve()
+        found = faults(given.rounds, rate, recipe, given.seed, given.folder, given.outage)
+        sys.exit(1 if found else 0)
+    timed(given.seconds, given.rate, given.recipe.resolve(), given.plain)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 Each round breaks one thing while frames come, notes after how many seconds the operator's page shows it, and
 mends it. After the last round every row must be in the record, in the history, at the TCP receiver and at the
 MQTT subscriber, once after taking duplicates out, and in order; and every spooled frame must have its row.
+An OPC UA client must get every event that was sent while it was stopped, once it goes on.
 A round that is done is written down: the same command goes on where it was broken off.
 
 The line: pylon's emulated camera and, where it is installed, Aravis' fake camera over the network; the
@@ -63,6 +64,7 @@ NETWORK_CAMERA = """\
 REST = """\
 outlets:
   - {{name: gate, use: tcp, options: {{port: {tcp}, timeout_s: 1}}}}
+  - {{name: scada, use: opcua, options: {{port: {opcua}}}}}
 {broker}history: {{url: "{history}"}}
 page: {{port: {page}}}
 """
@@ -133,11 +135,9 @@ class Receiver:
 
 
 class Broker:
-    """A mosquitto that keeps its messages on disk, and a subscriber that stays one while it is gone."""
+    """A mosquitto that keeps its messages on disk."""
 
-    def __init__(self, folder: Path, port: int, arrivals: Arrivals) -> None:
-        from paho.mqtt import client as paho
-
+    def __init__(self, folder: Path, port: int) -> None:
         self.port, self._file = port, folder / "mosquitto.conf"
         # Root's mosquitto becomes another user, who may not write here and forgets its subscribers.
         user = "user root\n" if os.getuid() == 0 else ""
@@ -147,14 +147,6 @@ class Broker:
             "autosave_on_changes true\nautosave_interval 1\n"
         )
         self.start()
-        self._client = paho.Client(paho.CallbackAPIVersion.VERSION2, "bench", clean_session=False)
-        self._client.on_connect = lambda client, *_: client.subscribe("bench/#", qos=1)
-        self._client.on_message = lambda _c, _d, message: (
-            arrivals.add(json.loads(message.payload)["key"]) if "products" in message.topic else None
-        )
-        self._client.reconnect_delay_set(1, 1)
-        self._client.connect("127.0.0.1", port, keepalive=5)
-        self._client.loop_start()
 
     def start(self) -> None:
         """Start it."""
@@ -170,11 +162,6 @@ class Broker:
         """Stop it, as an update of the machine would."""
         self._process.terminate()
         self._process.wait()
-
-    def end(self) -> None:
-        """Stop it and its subscriber for good."""
-        self._client.loop_stop()
-        self.stop()
 
 
 class Postgres:
@@ -256,12 +243,12 @@ class Operator:
 class Rounds:
     """The line, what is around it, and the faults."""
 
-    def __init__(self, folder: Path, rate: float, recipe: Path) -> None:
+    def __init__(self, folder: Path, rate: float, recipe: Path, outage_s: float) -> None:
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
         ports = folder / "ports.json"
         if not ports.exists():
-            names = ("tcp", "page", "mqtt", "database")
+            names = ("tcp", "page", "mqtt", "database", "opcua")
             ports.write_text(json.dumps({name: free_port() for name in names}))
         port = json.loads(ports.read_text())
         self.data = folder / "disk"
@@ -269,12 +256,10 @@ class Rounds:
         mounted = os.path.ismount(self.data) or _well(
             "mount", "-t", "tmpfs", "-o", f"size={DISK_MB}m", "line", str(self.data)
         )
-        self.at_tcp, self.at_broker = Arrivals(folder / "tcp.txt"), Arrivals(folder / "mqtt.txt")
+        self.at_tcp = Arrivals(folder / "tcp.txt")
         self.receiver = Receiver(port["tcp"], lambda row: self.at_tcp.add(row["key"]))
         self.broker = (
-            Broker(folder, port["mqtt"], self.at_broker)
-            if shutil.which("mosquitto", path="/usr/sbin:/usr/bin")
-            else None
+            Broker(folder, port["mqtt"]) if shutil.which("mosquitto", path="/usr/sbin:/usr/bin") else None
         )
         there = any(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
         self.database = (
@@ -288,7 +273,7 @@ class Rounds:
         options = f"{{port: {port['mqtt']}, topic: bench, timeout_s: 2}}"
         mqtt = f"  - {{name: broker, use: mqtt, options: {options}}}\n"
         text += REST.format(
-            tcp=port["tcp"], page=port["page"], broker=mqtt if self.broker else "",
+            tcp=port["tcp"], opcua=port["opcua"], page=port["page"], broker=mqtt if self.broker else "",
             history=self.database.url if self.database else "sqlite:history.sqlite",
         )  # fmt: skip
         (folder / "line.yaml").write_text(text, "utf-8")
@@ -296,8 +281,17 @@ class Rounds:
         command = (sys.executable, "-m", "roemetry", "serve", str(folder / "line.yaml"), "--start-anyway")
         self.serve = Process(*command, log=self.log)
         self.operator = Operator(port["page"])
+        self.subscribers = {
+            kind: Process(
+                *(sys.executable, "-m", "benchmarks.line_subscribers", kind, str(port[kind])),
+                str(folder / f"{kind}.txt"),
+                log=folder / f"{kind}.log",
+            )
+            for kind in ("opcua", *(["mqtt"] if self.broker else []))
+        }
         with contextlib.suppress(OSError):  # a client that reads nothing, the whole time
             self.stuck = socket.create_connection(("127.0.0.1", port["page"]), 30.0)
+        longer_s = outage_s - 3.5  # a round's own length, 3.5 to 5 s, comes to it
         self.faults: dict[str, tuple[str, Callable[[float], None]]] = {
             "kill station": ("process of station cam died", lambda _: self.kill("station cam")),
             "kill outlets": ("process of outlets died", lambda _: self.kill("outlets")),
@@ -308,14 +302,20 @@ class Rounds:
             ),
             "receiver gone": ("gate: rows are not delivered", lambda s: self.gone(self.receiver, s)),
             "receiver stuck": ("gate: rows are not delivered", self.stuck_receiver),
+            "OPC UA stuck": ("scada: clients that take no", lambda s: self.stuck("opcua", s + longer_s)),
         }
         if self.broker:
             self.faults["broker gone"] = (
                 "broker: rows are not delivered",
-                lambda s: self.gone(self.broker, s),
+                lambda s: self.gone(self.broker, s + longer_s),
             )
+            # A broker does not tell who publishes how its subscribers are: nothing is to be seen.
+            self.faults["MQTT stuck"] = ("", lambda s: self.stuck("mqtt", s + longer_s))
         if self.database:
-            self.faults["database gone"] = ("history: rows are not", lambda s: self.gone(self.database, s))
+            self.faults["database gone"] = (
+                "history: rows are not",
+                lambda s: self.gone(self.database, s + longer_s),
+            )
         if self.camera:
             self.faults["camera gone"] = (
                 "driver has not answered|no frames from",
@@ -349,6 +349,17 @@ class Rounds:
         time.sleep(seconds)
         self.receiver.answers = True
 
+    def stuck(self, kind: str, seconds: float) -> None:
+        """Stop a subscriber, which stays connected, and let it go on; note which rows came meanwhile."""
+        process = self.subscribers[kind].process
+        process.send_signal(signal.SIGSTOP)
+        begin_s = time.time()
+        time.sleep(seconds)
+        told = self.ask(f"select key from rows where kind = 'product' and at > {begin_s} order by n")
+        process.send_signal(signal.SIGCONT)
+        with (self.folder / f"{kind}-stuck.txt").open("a") as file:
+            file.write("".join(f"{key}\n" for (key,) in told))
+
     def fill(self, seconds: float) -> None:
         """Fill the disk, and make room again."""
         filler = self.data / "filler"
@@ -381,7 +392,7 @@ class Rounds:
         seen: list[float] = []
 
         def watch() -> None:
-            while not seen and time.monotonic() - begin < seconds + 5.0:
+            while words and not seen and time.monotonic() - begin < seconds + 5.0:
                 if any(word in said for said in self.operator.alarms() for word in words.split("|")):
                     seen.append(max(0.0, time.monotonic() - self.begin_s))
                 time.sleep(0.02)
@@ -412,8 +423,10 @@ class Rounds:
         for one in (self.camera, self.database):
             if one is not None:
                 one.stop()
+        for one in self.subscribers.values():
+            one.stop()
         if self.broker:
-            self.broker.end()
+            self.broker.stop()
 
     def judged(self) -> dict[str, int]:
         """Count what is missing, doubled or out of order."""
@@ -448,7 +461,7 @@ class Rounds:
         found["rows twice in the history"] = len(history) - len(set(history))
         for name, arrivals in (
             ("receiver", self.at_tcp),
-            ("broker", self.at_broker if self.broker else None),
+            ("broker", Arrivals(self.folder / "mqtt.txt") if self.broker else None),
         ):
             if arrivals is not None:
                 keys = [key for key in arrivals.keys if "!" not in key]
@@ -457,6 +470,11 @@ class Rounds:
                 found[f"rows missing at the {name}"] = len(set(told) - set(once))
                 found[f"rows at the {name} that nobody told"] = len(set(once) - set(told))
                 found[f"rows out of order at the {name}"] = int([k for k in once if k in set(told)] != told)
+        meanwhile = Arrivals(self.folder / "opcua-stuck.txt").keys
+        heard = set(Arrivals(self.folder / "opcua.txt").keys)
+        found[f"rows missing at the OPC UA client, of {len(meanwhile)} told while it was stopped"] = len(
+            set(meanwhile) - heard
+        )
         return found
 
 
@@ -464,10 +482,13 @@ def _well(*command: str) -> bool:
     return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
 
-def faults(rounds: int, rate: float, recipe: Path, seed: int, folder: Path) -> int:
-    """Break the line so many times; print what was seen and found, give the number of faults."""
+def faults(rounds: int, rate: float, recipe: Path, seed: int, folder: Path, outage_s: float) -> int:
+    """Break the line so many times; print what was seen and found, give the number of faults.
+
+    Broker and database are gone, and subscribers stuck, for `outage_s` and up to 1 s longer.
+    """
     notes = folder / "rounds.jsonl"
-    line = Rounds(folder.resolve(), rate, recipe)
+    line = Rounds(folder.resolve(), rate, recipe, outage_s)
     try:
         names, counts = list(line.faults), _broken(line, rounds, seed, notes)
     finally:

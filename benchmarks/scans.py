@@ -11,7 +11,10 @@ pyramid, as users measure it, and never from the truth. Seeds from 500 on were n
 from __future__ import annotations
 
 import argparse
+import math
 import resource
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -19,9 +22,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from roemetry.config.recipe import Recipe
+from roemetry.io.yaml_source import dump
 from roemetry.records import Acquisition, Frame, Pyramid, ScanLines, StripeMap, Trace
 from roemetry.records.calibration import Calibration
 from roemetry.records.scan import Motion
@@ -147,22 +152,21 @@ def lines_of(sim: MovingBelt, seed: int) -> ScanLines:
 
 
 def recipe_of(calibration: Calibration, folder: Path, **changes: Any) -> Recipe:
-    """Make a recipe that measures scans with a calibration."""
+    """Make a recipe that measures scans with a calibration, and write both."""
     calibration.save(folder / "calibration.yaml")
-    return Recipe.of(
-        {
-            "roemetry": 1,
-            "product": "a scan",
-            "source": {"use": "belt-scan", "path": "."},
-            "calibration": "calibration.yaml",
-            "stages": {
-                "extractor": "gaussian", "coder": "single", "triangulator": "pinhole-plane",
-                "volume": "dense-slices",
-            },
-            **changes,
+    told = {
+        "roemetry": 1,
+        "product": "a scan",
+        "source": {"use": "belt-scan", "path": "."},
+        "calibration": "calibration.yaml",
+        "stages": {
+            "extractor": "gaussian", "coder": "single", "triangulator": "pinhole-plane",
+            "volume": "dense-slices",
         },
-        folder=folder,
-    )  # fmt: skip
+        **changes,
+    }  # fmt: skip
+    (folder / "recipe.yaml").write_text(dump(told))
+    return Recipe.load(folder / "recipe.yaml")
 
 
 def measured(recipe: Recipe, lines: ScanLines, draws: int | None = None) -> Trace:
@@ -414,23 +418,31 @@ def speed(count: int, seed: int) -> None:
 
 
 def memory(count: int, seed: int) -> None:
-    """Say what a belt of many frames takes at most, part by part."""
+    """Say what `roemetry run` takes at most of a belt of many frames in files, and how long."""
     sim = scene(1280, 400, family="bread-roll", product=CONVEX["bread-roll"], counts_per_line=60)
     some = lines_of(sim, seed)
-    frames = [some.frame(k) for k in range(len(some.count))]
-    with tempfile.TemporaryDirectory() as folder:
-        recipe = recipe_of(true_calibration(sim), Path(folder))
-        pipeline = Pipeline(recipe, draws=0)
-        found = 0
-        for begin in range(0, 1000 * count, 500):
-            end = begin + 1000
-            lines = ScanLines(
-                lambda k, begin=begin: frames[(begin + k) % len(frames)],  # type: ignore[misc]
-                np.arange(begin, end) * 60.0, np.arange(begin, end), (0, 500), begin,
-            )  # fmt: skip
-            found += len(pipeline.trace(Acquisition(f"part{begin}", (), lines=lines)).products)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    print(f"{1000 * count} frames of 1280 × 400 in parts of 1,000: {found} products, {peak:.0f} MB at most")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "belt").mkdir()
+        files = [f"f{k:03d}.pgm" for k in range(len(some.count))]
+        for k, file in enumerate(files):
+            cv2.imwrite(str(folder / "belt" / file), some.frame(k).pixels)
+        many = math.ceil(1000 * count / len(files)) * len(files)
+        told = "".join(f"{files[k % len(files)]},{60 * k},{k}\n" for k in range(many))
+        (folder / "belt" / "counts.csv").write_text(f"file,encoder_count,frame_number\n{told}")
+        options = {"part_lines": 400, "longest_product_lines": 200}
+        source = {"use": "belt-scan", "path": "belt", "options": options}
+        recipe_of(true_calibration(sim), folder, source=source, sinks=["csv"])
+        command = [sys.executable, "-m", "roemetry", "run", "recipe.yaml", "--out", "results", "--json"]
+        begin = time.perf_counter()
+        subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+        took = time.perf_counter() - begin
+        found = len((folder / "results" / "results.csv").read_text().splitlines()) - 1
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
+    print(
+        f"{many} frames of 1280 × 400 in files, parts of 600: {found} products, {peak:.0f} MB at most, "
+        f"{took:.0f} s"
+    )
 
 
 PARTS: dict[str, Callable[[int, int], None]] = {

@@ -11,6 +11,10 @@ aside. Nothing in a stamp depends on the folder, so compiled kernels can be inst
 Where processes need the same kernel at the same time, one compiles it and the others take it from disk: a run
 with several jobs starts them all on an empty cache, and each would compile every kernel for itself.
 
+numba tells functions of one name apart by a number that each process counts from 1, and the linker of a
+process that reads two of one name and number from disk takes one for both: a sort then runs as an argsort
+(numba's issue 10486). So each process counts from a place of its own.
+
 What is damaged on disk is compiled anew, and where nothing can be written kernels are compiled in each
 process; either is said once (`KernelCacheWarning`).
 """
@@ -19,6 +23,7 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import itertools
 import os
 import re
 import shutil
@@ -32,7 +37,18 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
+
+
+def _count_apart() -> None:
+    """Let numba number this process's functions as no other process does."""
+    FunctionIdentity._unique_ids = itertools.count(int.from_bytes(os.urandom(7), "little"))
+
+
+_count_apart()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_count_apart)
 
 
 class KernelCacheWarning(UserWarning):

@@ -11,8 +11,8 @@ from roemetry_line.outbox import Outbox
 class Control:
     """What an outlet may know and ask of the line."""
 
-    def __init__(self, line: Line, outbox: Outbox) -> None:
-        self._line, self._outbox = line, outbox
+    def __init__(self, line: Line, outbox: Outbox, outlet: str = "") -> None:
+        self._line, self._outbox, self._outlet = line, outbox, outlet
 
     def state(self) -> Literal["starting", "running", "faulty"]:
         """Say whether every station measures."""
@@ -40,3 +40,10 @@ class Control:
         self._outbox.wish(station, recipe, who)
         self._outbox.raise_alarm(station, "recipe-chosen", f"{who} chose {recipe}", "note")
         return True
+
+    def warn(self, text: str | None) -> None:
+        """Show the operator what is wrong with a receiver; None: nothing any more."""
+        if text is None:
+            self._outbox.end_alarm(self._outlet, "receiver")
+        else:
+            self._outbox.raise_alarm(self._outlet, "receiver", text, "warning")

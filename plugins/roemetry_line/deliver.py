@@ -11,6 +11,7 @@ from pathlib import Path
 from roemetry.errors import FAULTS, OutputError, RoemetryError
 from roemetry.records.live import LineRow
 from roemetry_line.control import Control
+from roemetry_line.days import HourlyTidying
 from roemetry_line.line_file import Line, NamedOutlet
 from roemetry_line.log import log
 from roemetry_line.outbox import Outbox
@@ -36,7 +37,7 @@ class Deliverer:
         self, named: NamedOutlet, line: Line, outbox: Outbox, news: threading.Condition, stop: threading.Event
     ) -> None:
         self.name = named.name
-        self._control = Control(line, outbox)
+        self._control = Control(line, outbox, named.name)
         self.state = "starting"
         self.delivered = 0
         self.waiting = 0
@@ -127,6 +128,7 @@ def _deliver(line: Line, outbox: Outbox, stop: threading.Event) -> None:
     for thread in threads:
         thread.start()
     settle()
+    tidying = HourlyTidying(line, outbox)
     pruned = beaten = 0.0
     while any(thread.is_alive() for thread in threads) or (not threads and not stop.is_set()):
         outbox.listen(_TICK_S)
@@ -151,6 +153,7 @@ def _deliver(line: Line, outbox: Outbox, stop: threading.Event) -> None:
             if now - pruned > _PRUNE_S:
                 pruned = now
                 outbox.prune([worker.name for worker in workers])
+            tidying.look()
         except OutputError as error:
             log("error", "outbox", str(error))
             stop.wait(0.5)

@@ -1,4 +1,4 @@
-"""What the history tells: counts by class, control charts by product, drift of calibrations; Parquet."""
+"""What the history tells: counts by class, control charts by product, drift of calibrations."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Mapping
 from contextlib import closing
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,7 +24,7 @@ from roemetry_line.control import Control
 from roemetry_line.control_charts import Chart, chart_of
 from roemetry_line.line_file import Line, Station
 from roemetry_line.outbox import FILE, Outbox
-from roemetry_line.outlets.database import COLUMNS, PostgresTable, SqliteTable, connect
+from roemetry_line.outlets.database import PostgresTable, SqliteTable, connect
 
 Figure = Literal["mass_g", "volume_mm3", "height_mm", "latency_ms"]
 FIGURES: tuple[Figure, ...] = ("mass_g", "volume_mm3", "height_mm", "latency_ms")
@@ -33,14 +33,14 @@ _ROWS_MAX = 200_000
 
 
 def charts_of(
-    table: SqliteTable | PostgresTable, figure: Figure, station: str | None, since_s: float
+    table: SqliteTable | PostgresTable, figure: Figure, line: str, station: str | None, since_s: float
 ) -> dict[str, Chart]:
-    """Make a figure's control chart for each product that a station, or the line, has measured since a time.
+    """Make a figure's control chart for each product that a line, or a station, has measured since a time.
 
     Products are what recipes call them; one limit over two of them would be no limit. The one that was
     measured last comes first.
     """
-    which, given = _where(table, station, since_s)
+    which, given = _where(table, line, station, since_s)
     found = table.ask(
         f"select product, time_s, {figure} from roemetry_rows where kind = 'product' "
         f"and {figure} is not null and {which} order by time_s desc limit {_ROWS_MAX}",
@@ -74,9 +74,11 @@ def recipe_at_work(line: Line, station: Station) -> Recipe:
     return line_file.load_recipe(path, line.folder)
 
 
-def counts_of(table: SqliteTable | PostgresTable, station: str | None, since_s: float) -> Mapping[str, int]:
+def counts_of(
+    table: SqliteTable | PostgresTable, line: str, station: str | None, since_s: float
+) -> Mapping[str, int]:
     """Count products by decision, else grade, else status; and what gave no product by what it was."""
-    which, given = _where(table, station, since_s)
+    which, given = _where(table, line, station, since_s)
     found = table.ask(
         f"select coalesce(decision, grade, status), count(*) from roemetry_rows where {which} "
         "group by 1 order by 2 desc",
@@ -85,42 +87,13 @@ def counts_of(table: SqliteTable | PostgresTable, station: str | None, since_s: 
     return {str(name): int(count) for name, count in found}
 
 
-def _where(table: SqliteTable | PostgresTable, station: str | None, since_s: float) -> tuple[str, list[Any]]:
-    which, given = f"time_s >= {table.mark}", [since_s]
+def _where(
+    table: SqliteTable | PostgresTable, line: str, station: str | None, since_s: float
+) -> tuple[str, list[Any]]:
+    which, given = f"line = {table.mark} and time_s >= {table.mark}", [line, since_s]
     if station is not None:
         return f"{which} and station = {table.mark}", [*given, station]
     return which, given
-
-
-def export_days(table: SqliteTable | PostgresTable, folder: Path, now: float | None = None) -> list[Path]:
-    """Write each closed day (UTC) that has no file yet as DAY.parquet; give the files written."""
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        raise OutputError(
-            "Parquet needs the module pyarrow", hint="install it with `pip install 'roemetry[export]'`"
-        ) from error
-    folder.mkdir(parents=True, exist_ok=True)
-    today = math.floor((now or time.time()) / 86400.0)
-    first = table.ask("select min(time_s) from roemetry_rows")[0][0]
-    written = []
-    for day in range(math.floor(first / 86400.0), today) if first is not None else ():
-        path = folder / f"{datetime.fromtimestamp(86400.0 * day, UTC):%Y-%m-%d}.parquet"
-        if path.exists():
-            continue
-        rows = table.ask(
-            f"select {', '.join(COLUMNS)} from roemetry_rows where time_s >= {table.mark} and "
-            f"time_s < {table.mark} order by time_s, line, run, id",
-            (86400.0 * day, 86400.0 * (day + 1)),
-        )
-        if rows:
-            columns = {name: [row[i] for row in rows] for i, name in enumerate(COLUMNS)}
-            part = path.with_suffix(".part")
-            pq.write_table(pa.table(columns), part)
-            part.replace(path)
-            written.append(path)
-    return written
 
 
 def history(
@@ -143,12 +116,14 @@ def history(
     loaded = Line.load(line, with_recipes=False)
     table = history_of(loaded)
     if parquet is not None:
-        for path in export_days(table, parquet):
+        from roemetry_line.days import write_days
+
+        for path in write_days(table, loaded.name, parquet):
             typer.echo(str(path))
         return
     since_s = time.time() - 3600.0 * hours
-    counts = counts_of(table, station, since_s)
-    charts = charts_of(table, figure, station, since_s)
+    counts = counts_of(table, loaded.name, station, since_s)
+    charts = charts_of(table, figure, loaded.name, station, since_s)
     checks = {one.name: _checks(loaded, one) for one in loaded.stations if station in (None, one.name)}
     if report is not None:
         from roemetry_line.history_page import history_page
@@ -218,12 +193,6 @@ def history_of(line: Line) -> SqliteTable | PostgresTable:
     url = line.history_url
     if url is None:
         raise ConfigurationError(f"{line.path}: the line keeps no history", hint="take `history: null` out")
-    if not begun(line):
+    if not line.history_begun:
         raise OutputError(f"{url}: nothing has been measured yet", hint="`roemetry serve` makes it")
     return connect(url)
-
-
-def begun(line: Line) -> bool:
-    """Say whether a line that keeps a history may have one already: the first product makes it."""
-    url = line.history_url
-    return url is None or not url.startswith("sqlite:") or Path(url.removeprefix("sqlite:")).exists()

@@ -16,6 +16,7 @@ from roemetry.config.resolve import ResolvedStage, StageResolver
 from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError, MisfitError, RoemetryError
 from roemetry.io.yaml_source import Document, read
+from roemetry.records import Role
 from roemetry.stages.registry import discover
 from roemetry_line.gate import GateSection
 
@@ -33,6 +34,13 @@ class StationSection(Section):
         default_factory=list, description="further recipes that an engineer may choose on the page"
     )
     feed: Choice = Field(description="where frames come from")
+    lights: list[Role] = Field(
+        default=["laser"],
+        min_length=1,
+        max_length=3,
+        description="what lights the scene in the frames of one product, in the order in which they are "
+        "taken, each once, as in `[laser, plain]`",
+    )
     deadline_ms: float | None = Field(
         default=None,
         gt=0,
@@ -73,6 +81,11 @@ class HistorySection(Section):
         default="sqlite:history.sqlite",
         pattern="^(sqlite:.+|postgresql://.+)$",
         description="`sqlite:FILE`, relative to the line's folder, or `postgresql://…`",
+    )
+    days: str | None = Field(
+        default="days",
+        description="folder in which each day (UTC) that is over is kept as a Parquet file; relative to the "
+        "line's folder; null: nowhere",
     )
     keep_days: float = Field(default=365.0, gt=0, description="rows that are older are taken out, days")
 
@@ -116,6 +129,11 @@ class LineFile(Section):
                 for index, name in enumerate(named)
                 if again[name] > 1 and name in named[:index]
             ]
+        faults += [
+            (("stations", index, "lights"), "`laser` must be among them, and each once")
+            for index, one in enumerate(self.stations)
+            if "laser" not in one.lights or len(set(one.lights)) < len(one.lights)
+        ]
         if self.history is not None:
             faults += [
                 (("outlets", index, "name"), f"`{HISTORY}` is the history's own name")
@@ -192,6 +210,12 @@ class Line:
         """Where the history is, with an absolute path; None where none is kept."""
         return None if self.history is None else _absolute(self.history.url, self.folder)
 
+    @property
+    def history_begun(self) -> bool:
+        """Say whether there may be a history already: SQLite's file comes with the first product."""
+        url = self.history_url or ""
+        return not url.startswith("sqlite:") or Path(url.removeprefix("sqlite:")).exists()
+
     def place(self, *at: str | int) -> str:
         """Give ``file:line:column`` of what these keys lead to."""
         return self.document.place(at)
@@ -244,8 +268,7 @@ def _outlets(file: LineFile, resolver: StageResolver, folder: Path) -> Iterator[
     wanted = [(one, ("outlets", index)) for index, one in enumerate(file.outlets)]
     if file.history is not None:
         url = _absolute(file.history.url, folder)
-        options = {"url": url, "keep_days": file.history.keep_days}
-        wanted.append((OutletSection(name=HISTORY, use="database", options=options), ("history",)))
+        wanted.append((OutletSection(name=HISTORY, use="database", options={"url": url}), ("history",)))
     for section, at in wanted:
         outlet = resolver.choose("outlet", section, *at)
         if outlet is not None:

@@ -18,10 +18,13 @@ Type=notify
 NotifyAccess=main
 ExecStart={python} -m roemetry serve {path} --start-anyway
 WorkingDirectory={home}
+Environment=NUMBA_CACHE_DIR={folder}/kernels
+TimeoutStartSec=600
 WatchdogSec=20
 Restart=always
 RestartSec=2
-TimeoutStopSec=30
+KillMode=mixed
+TimeoutStopSec=60
 ProtectSystem=strict
 ProtectHome=read-only
 ReadWritePaths={folder}

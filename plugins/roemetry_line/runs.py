@@ -24,7 +24,7 @@ from roemetry.config.dataset import Dataset, DatasetWriter, Description, Item
 from roemetry.config.recipe import Recipe
 from roemetry.errors import RoemetryError
 from roemetry.io.files import LineFile, make_folder, write_bytes, write_whole
-from roemetry.records import Acquisition, Frame
+from roemetry.records import Acquisition, Frame, Role
 from roemetry.run.batch import provenance_of
 from roemetry.run.record import PROVENANCE, RECORD, summed_up
 from roemetry_line.outbox import Outbox
@@ -70,27 +70,33 @@ class Spool:
         )
         self._items = DatasetWriter(run, description)
 
-    def add(self, frame: Frame) -> tuple[Acquisition, dict[str, str]]:
-        """Write a frame; give it as it will be read again, and its hash, as they stand in a record."""
+    def add(self, frames: tuple[Frame, ...]) -> tuple[Acquisition, dict[str, str]]:
+        """Write a product's frames; give them as they will be read again, and their hashes for the record."""
         self._count += 1
         name = f"{self._count:06d}"
-        acquisition = Acquisition(name, (frame,))
+        acquisition = Acquisition(name, frames)
         if self._keep_bytes == 0:
             return acquisition, {}
-        content = tiff_of(frame.pixels)
-        digest = hashlib.sha256(content).hexdigest()
-        write_bytes(image_of(self._run, name), content)
+        files: dict[Role, str] = {}
+        hashes: dict[str, str] = {}
+        for frame in frames:
+            content = tiff_of(frame.pixels)
+            hashes[frame.role] = hashlib.sha256(content).hexdigest()
+            path = image_of(self._run, name if frame.role == "laser" else f"{name}-{frame.role}")
+            files[frame.role] = f"{_IMAGES}/{path.name}"
+            write_bytes(path, content)
+        laser = next(frame for frame in frames if frame.role == "laser")
         self._items.add(
             Item(
                 name,
-                {"laser": f"{_IMAGES}/{name}.tif"},
-                {"laser": digest},
-                time_s=frame.time_s,
-                encoder_count=frame.encoder_count,
-                bit_depth=frame.bit_depth,
+                files,
+                hashes,
+                time_s=laser.time_s,
+                encoder_count=laser.encoder_count,
+                bit_depth=laser.bit_depth,
             )
         )
-        return acquisition, {"laser_sha256": digest}
+        return acquisition, {f"{role}_sha256": digest for role, digest in hashes.items()}
 
     def full(self) -> bool:
         """Say whether the run has as many frames as it may have."""

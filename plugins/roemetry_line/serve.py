@@ -28,9 +28,9 @@ _RESTART_S = 0.5
 _STUCK_S = 10.0
 """A station that has not said anything for so long is stuck: systemd then starts the line again."""
 _STOP_S = 20.0
+"""How long a process may take to stop, s; then it is killed."""
 _CHECK_S = 120.0
 """Longer than a station waits for the frame of a check, and measures it."""
-"""How long a process may take to stop, s; then it is killed."""
 
 
 def serve(
@@ -68,6 +68,7 @@ def serve(
     wrong, or a camera or receiver is not there.
     """
     loaded = Line.load(line)
+    make_folder(loaded.folder)
     if unit:
         typer.echo(
             UNIT.format(
@@ -80,7 +81,6 @@ def serve(
             nl=False,
         )
         return
-    make_folder(loaded.folder)
     if user is not None:
         password = typer.prompt("password", hide_input=True, confirmation_prompt=True)
         typer.echo(str(set_password(loaded.folder, user, role, password)))

@@ -16,7 +16,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ from roemetry.run.record import recipe_of
 from roemetry.run.rows import failed, measurements_of
 from roemetry_line import line_file, runs
 from roemetry_line.block_checks import BlockChecks
+from roemetry_line.exposures import Exposures
 from roemetry_line.laser_health import LaserHealth
 from roemetry_line.live_view import LiveView
 from roemetry_line.log import log
@@ -171,6 +172,7 @@ class StationProcess:
             while not self._stop.is_set():
                 try:
                     with self._station.feed.make().open() as frames:
+                        exposures = Exposures(self._section.lights)
                         self._opened = True
                         self._last_try_s = time.time()
                         self._ended("camera", "the camera is there again")
@@ -178,7 +180,7 @@ class StationProcess:
                             if self._stop.is_set():
                                 break
                             if live is not None:
-                                job = self._take_one(job, live)
+                                job = self._take_one(job, live, exposures.add(live))
                             self._last_frame_s = self._last_try_s = time.time()
                         else:
                             self._note("feed-ended", "the feed has no more frames")
@@ -194,7 +196,8 @@ class StationProcess:
         finally:
             self._taking = False
 
-    def _take_one(self, job: Job, live: LiveFrame) -> Job:
+    def _take_one(self, job: Job, live: LiveFrame, frames: tuple[Frame, ...] | None) -> Job:
+        """Count a frame; with the last one of a product, let it be measured."""
         taken = Taken.of(live, time.time())
         self._figures.frames += 1
         where = self._where(job)
@@ -203,18 +206,20 @@ class StationProcess:
             said = f"{live.lost_before} frames lost before frame {live.number}"
             self._tell(notice_row(where, "frames-lost", said, taken))
             self._note("frames-lost", said, run=where.run, frame=live.number)
-        frame = live.frame
-        if frame is None:
+        if live.frame is None:
             self._figures.incomplete += 1
             said = f"frame {live.number} is not whole: {live.fault}"
             self._tell(notice_row(where, "frame-incomplete", said, taken))
             self._note("frame-incomplete", said, run=where.run, frame=live.number)
+        if frames is None:
             return job
-        if self._checks.takes(frame):
+        laser = next(frame for frame in frames if frame.role == "laser")
+        taken = replace(taken, encoder_count=laser.encoder_count)
+        if self._checks.takes(laser):
             return job
         if self._next is not None or job.spool.full():
             job = self._switch(job)
-        acquisition, hashes = self._until_written(lambda: job.spool.add(frame), "spool")
+        acquisition, hashes = self._until_written(lambda: job.spool.add(frames), "spool")
         if self._section.deadline_ms is not None:
             with self._lock:
                 due = taken.time_s + self._section.deadline_ms / 1e3

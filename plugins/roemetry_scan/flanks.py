@@ -23,7 +23,11 @@ from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry_kernels.compiling import float_kernel
 
 POINTS = 30
-"""Points that tell how a flank goes on."""
+"""Points that tell how a flank goes on, at most."""
+_POINTS_MIN, _REACH = 6, 0.3
+"""So many at least, and no farther in than this share of the last point's height: foods are conics only near
+their rim. With lines 1.2 mm apart, 30 points are half a product, and volumes came out 1.8 % off instead of
+0.2 % (24 products, seed 500)."""
 _RIM_PRIOR = 1e-5
 """Weight of a rim on the belt, of one point's equation: it decides where noise alone would."""
 _RIM_ROWS_MIN = 10
@@ -74,7 +78,7 @@ def conic(
     for k in range(count):
         high = max(high, z[k])
     # what is flat up to where it is lost falls off as a wall does
-    if count < 6 or not high > _FLAT * z0 or not z0 > 0.0:
+    if count < _POINTS_MIN or not high > _FLAT * z0 or not z0 > 0.0:
         return none
     # z² = 2 r z + a + b·x + c·x² with x outwards, all in the size of what is seen
     rows, sums = np.zeros((4, 4)), np.zeros(4)
@@ -223,6 +227,8 @@ def _fill(
     while 0 <= m < slices and 0 <= n < points and label[m, n] == number and count < POINTS:
         if not added[m, n]:
             d[count] = abs(xyz[m, n, axis] - xyz[i, k, axis])
+            if count >= _POINTS_MIN and d[count] > _REACH * xyz[i, k, 2]:
+                break
             z[count] = _pooled(xyz, label, added, m, n, axis)
             count += 1
         m -= way_i

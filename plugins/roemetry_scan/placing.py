@@ -24,7 +24,7 @@ import numpy as np
 
 from roemetry.errors import StageError
 from roemetry.records import Profiles, Pyramid, Reason, ScanFigures, ScanLines, SpherePlate, StripeMap
-from roemetry.records.arrays import Floats
+from roemetry.records.arrays import Flags, Floats
 from roemetry.records.calibration import Calibration
 from roemetry.records.scan import Motion
 from roemetry.stages import Assembler, StageOptions, Triangulator
@@ -37,6 +37,8 @@ from roemetry_scan.slip import slip_of
 
 _NEAR_MM = 0.3
 """Belt lies so near to its plane where its own scatter is not known yet, mm."""
+_BELT_POINTS = 100_000
+"""Points that tell the belt's plane, to a thousandth of their scatter; all of a scan are 100 MB more."""
 
 
 class BeltMotion(Assembler[BeltOptions]):
@@ -107,10 +109,9 @@ class BeltMotion(Assembler[BeltOptions]):
             reasons=reasons,
             scan=figures,
         )
-        on_belt = label == 0
-        if not on_belt.any():
+        if not (label == 0).any():
             return profiles
-        return self._with_flanks(_on_belt(profiles, fitted_plane(xyz_mm[on_belt])))
+        return self._with_flanks(_on_belt(profiles, fitted_plane(_some(xyz_mm, label == 0))))
 
     def label(self, profiles: Profiles, own: tuple[int, int] | None = None) -> Profiles:
         """Lay Z = 0 on the belt that is seen, and number the products that begin in the own lines."""
@@ -122,7 +123,7 @@ class BeltMotion(Assembler[BeltOptions]):
             )
         noise = 0.0
         if self.options.belt == "fit":
-            plane = plane_of_belt(profiles.xyz_mm[known], _NEAR_MM)
+            plane = plane_of_belt(_some(profiles.xyz_mm, known), _NEAR_MM)
             profiles = _on_belt(profiles, plane)
         height = np.where(known, profiles.xyz_mm[..., 2], np.nan)
         near = np.abs(height) < _NEAR_MM
@@ -173,11 +174,20 @@ def _on_belt(profiles: Profiles, plane: Floats) -> Profiles:
     """Lay Z = 0 on a plane z = a + b·x + c·y of the slices."""
     turn, point = frame_on(plane)
     normal = profiles.plane[:, :3]
+    xyz_mm = profiles.xyz_mm @ turn.T
+    xyz_mm -= turn @ point
     return replace(
         profiles,
-        xyz_mm=(profiles.xyz_mm - point) @ turn.T,
+        xyz_mm=xyz_mm,
         plane=np.column_stack([normal @ turn.T, profiles.plane[:, 3] - normal @ point]),
     )
+
+
+def _some(xyz_mm: Floats, chosen: Flags) -> Floats:
+    """Give (n, 3) of the points that are chosen, thinned out evenly."""
+    index = np.flatnonzero(chosen)
+    some: Floats = xyz_mm.reshape(-1, 3)[index[:: max(1, index.size // _BELT_POINTS)]]
+    return some
 
 
 def _usual(xyz_mm: Floats, axis: int) -> float:

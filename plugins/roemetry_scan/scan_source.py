@@ -16,6 +16,7 @@ import csv
 import io
 import math
 import re
+from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -82,6 +83,8 @@ class BeltScan(Source[BeltScanOptions]):
 
     def references(self, path: Path) -> Sequence[AcquisitionReference]:
         """List the parts of every scan that a path or pattern names; DataError where there is none."""
+        for opened in (_table, _tall, _video):
+            opened.cache_clear()  # files may have changed
         found: list[AcquisitionReference] = []
         for scan in _scans(path):
             lines = len(_table(scan, self.options.name_pattern).count)
@@ -121,8 +124,8 @@ class _Table:
 
     count: Any
     number: Any
-    files: tuple[Path, ...]
-    """Of a folder: its frames."""
+    files: tuple[str, ...]
+    """Of a folder: its frames' names."""
 
 
 @dataclass(frozen=True)
@@ -136,8 +139,8 @@ class _Reader:
     def __call__(self, line: int) -> Frame:
         at = self.begin + line
         if self.table.files:
-            path = self.table.files[at]
-            return _frame(_decoded(path), path.name)
+            name = self.table.files[at]
+            return _frame(_decoded(self.scan / name), name)
         if self.scan.suffix.lower() in _VIDEOS:
             return _frame(_video(self.scan)(at), f"{self.scan.name}, frame {at}")
         whole = _tall(self.scan)
@@ -235,6 +238,7 @@ def _frames_in(folder: Path) -> list[Path]:
     )
 
 
+@lru_cache(maxsize=1)
 def _table(scan: Path, pattern: str) -> _Table:
     """Read counts and numbers of a scan's lines; DataError with the file's line where that fails."""
     folder = scan.is_dir()
@@ -245,23 +249,29 @@ def _table(scan: Path, pattern: str) -> _Table:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: cannot be read: {error}") from error
-    reader = csv.DictReader(io.StringIO(text))
-    if _COUNT not in (reader.fieldnames or ()):
+    reader = csv.reader(io.StringIO(text))
+    names = next(reader, [])
+    if _COUNT not in names:
         raise DataError(
-            f"{path}: no column `{_COUNT}`; it has {', '.join(reader.fieldnames or ()) or 'none'}",
+            f"{path}: no column `{_COUNT}`; it has {', '.join(names) or 'none'}",
             hint="lines are placed by encoder counts; a header line names the columns",
         )
-    rows = list(reader)
-    count = np.array([_number(path, k, row, _COUNT) for k, row in enumerate(rows)])
-    number = np.array([_number(path, k, row, _NUMBER) for k, row in enumerate(rows)])
-    number = np.where(np.isfinite(number), number, np.arange(len(rows))).astype(np.int64)
-    files: tuple[Path, ...] = ()
+    counts, numbers, named = array("d"), array("d"), []
+    for row in reader:
+        if not row:
+            continue
+        line = dict(zip(names, row, strict=False))
+        counts.append(_number(path, reader.line_num, line, _COUNT))
+        numbers.append(_number(path, reader.line_num, line, _NUMBER))
+        named.append(line.get(_FILE) or "")
+    count, number = np.array(counts), np.array(numbers)
+    number = np.where(np.isfinite(number), number, np.arange(len(named))).astype(np.int64)
+    files: tuple[str, ...] = ()
     if folder:
-        named = [row.get(_FILE) or "" for row in rows]
-        files = tuple(scan / name for name in named) if all(named) else tuple(_frames_in(scan))
-        if len(files) != len(rows):
-            raise DataError(f"{path}: {len(rows)} lines for {len(files)} frames in the folder")
-    if not rows:
+        files = tuple(named) if all(named) else tuple(one.name for one in _frames_in(scan))
+        if len(files) != len(named):
+            raise DataError(f"{path}: {len(named)} lines for {len(files)} frames in the folder")
+    if not named:
         raise DataError(f"{path}: there is no line in it")
     return _Table(count, number, files)
 
@@ -274,14 +284,14 @@ def _by_names(scan: Path, pattern: str) -> _Table:
     numbers = [one.groupdict().get("frame") if one is not None else None for one in found]
     known = all(number is not None for number in numbers)
     number = np.array([int(one or 0) for one in numbers] if known else np.arange(len(files)), np.int64)
-    return _Table(count, number, files)
+    return _Table(count, number, tuple(one.name for one in files))
 
 
-def _number(path: Path, line: int, row: dict[str, Any], column: str) -> float:
-    text = row.get(column)
-    if text is None or not str(text).strip():
+def _number(path: Path, line: int, row: dict[str, str], column: str) -> float:
+    text = row.get(column, "")
+    if not text.strip():
         return math.nan
     try:
         return float(text)
     except ValueError:
-        raise DataError(f"{path}, line {line + 2}: {column} is {text!r}, expected a number") from None
+        raise DataError(f"{path}, line {line}: {column} is {text!r}, expected a number") from None

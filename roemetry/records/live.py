@@ -48,6 +48,9 @@ class LineControl(Protocol):
     def choose(self, station: str, recipe: str, who: str) -> bool:
         """Let a station measure with another of its recipes; False where it has no such recipe."""
 
+    def warn(self, text: str | None) -> None:
+        """Show the operator what is wrong with who receives, where rows are delivered; None: nothing."""
+
 
 @dataclass(frozen=True, slots=True)
 class LineRow:

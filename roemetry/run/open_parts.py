@@ -265,25 +265,31 @@ def split_products(
 
 
 def _only(profiles: Profiles, number: int) -> Profiles:
-    """Keep the points of one product, from the first to the last of any slice."""
+    """Keep the points of one product, from the first to the last of any slice; of a scan, its slices only."""
     mine = profiles.product == number
-    lit = mine.any(axis=0)
-    points = slice(int(lit.argmax()), lit.size - int(lit[::-1].argmax()))
-    mine = mine[:, points]
+    points = _lit(mine.any(axis=0))
+    # products are some of a belt's thousands of slices
+    slices = _lit(mine.any(axis=1)) if profiles.scan is not None else slice(None)
+    at = slices, points
+    mine = mine[at]
     # adding NaN takes a third of the time of choosing between a number and NaN, and a loop over whole rows a
     # fourth of that of one over three coordinates
     others = np.where(mine, 0.0, np.nan)
-    xyz_mm = profiles.xyz_mm[:, points]
+    xyz_mm = profiles.xyz_mm[at]
     return Profiles(
         xyz_mm=(xyz_mm.reshape(len(mine), -1) + np.repeat(others, 3, axis=1)).reshape(xyz_mm.shape),
-        product=np.where(mine, profiles.product[:, points], _NOTHING),
-        seen=profiles.seen[:, points] & mine,
-        x_px=profiles.x_px[:, points] + others,
-        row_px=profiles.row_px[:, points] + others,
-        height_std_mm=profiles.height_std_mm[:, points] + others,
-        stripe=profiles.stripe,
-        frame=profiles.frame,
-        plane=profiles.plane,
+        product=np.where(mine, profiles.product[at], _NOTHING),
+        seen=profiles.seen[at] & mine,
+        x_px=profiles.x_px[at] + others,
+        row_px=profiles.row_px[at] + others,
+        height_std_mm=profiles.height_std_mm[at] + others,
+        stripe=profiles.stripe[slices],
+        frame=profiles.frame[slices],
+        plane=profiles.plane[slices],
         reasons=profiles.reasons,
         scan=profiles.scan,
     )
+
+
+def _lit(any_lit: Flags) -> slice:
+    return slice(int(any_lit.argmax()), any_lit.size - int(any_lit[::-1].argmax()))

@@ -201,9 +201,8 @@ class Pipeline:
                 raw = stripes
                 slices = steps.do("assembler", lambda: assembler.place(raw, placed, made, triangulator))
         if slices is not None:
-            found = slices
             own = None if lines is None else lines.own
-            slices = steps.do("assembler", lambda: assembler.label(found, own))
+            slices = steps.do("assembler", partial(assembler.label, slices, own))
         products: tuple[ProductTrace, ...] = ()
         if slices is not None:
             view = None
@@ -221,7 +220,7 @@ class Pipeline:
             doubts = {
                 one.number: _too_high(one)
                 or (None if stripes is None else _cut_off(stripes, one.number))
-                or cut_by_scan(one)
+                or cut_by_scan(slices, one.number)
                 for one in assembled
             }
             products = tuple(self._outcome(one, doubts[one.number], steps.seconds) for one in assembled)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from roemetry.errors import RoemetryError, StageError
-from roemetry.records import NOTHING, Acquisition, Frame, Product, Profiles, Reason, ScanLines, StripeMap
+from roemetry.records import NOTHING, Acquisition, Frame, Profiles, Reason, ScanLines, StripeMap
 from roemetry.records.arrays import Integers
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
@@ -74,10 +74,12 @@ def gather(
                     first_fault = first_fault or error
                 continue
             here = (np.array(list(group))[:, None] * count + np.arange(count)).ravel()
-            x_px[here], x_std_px[here], seen[here] = (
+            of_lines, std_px, known = (
                 values.reshape(len(group), -1)[:, : count * rows].reshape(-1, rows)
                 for values in (found.x_px, found.x_std_px, found.seen)
             )
+            # a coder joins product to belt by a straight line; the assembler knows what lies between
+            x_px[here], x_std_px[here], seen[here] = np.where(known, of_lines, np.nan), std_px, known
             reach = found.correlation_rows
             followed += len(group)
     if not followed:
@@ -184,10 +186,9 @@ class Placing:
         return found
 
 
-def cut_by_scan(product: Product) -> Reason | None:
+def cut_by_scan(profiles: Profiles, number: int) -> Reason | None:
     """Say why nothing can be stated of a product that the scan's first or last line still shows."""
-    label = product.profiles.product
-    if not len(label) or not ((label[0] > 0).any() or (label[-1] > 0).any()):
+    if not (profiles.product[[0, -1]] == number).any():
         return None
     return Reason(
         "cut-by-scan",

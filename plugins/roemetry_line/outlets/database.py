@@ -22,7 +22,6 @@ from roemetry.stages import Capabilities, Outlet, StageOptions
 NUMBERS = ("mass_g", "mass_std_g", "volume_mm3", "volume_std_mm3", "height_mm", "latency_ms")
 WORDS = ("product", "status", "grade", "decision", "lane", "reason")
 COLUMNS = ("line", "run", "id", "station", "kind", "time_s", *NUMBERS, *WORDS, "late", "text")
-_PRUNE_S = 3600.0
 
 
 class DatabaseOptions(StageOptions):
@@ -33,7 +32,6 @@ class DatabaseOptions(StageOptions):
         pattern="^(sqlite:.+|postgresql://.+)$",
         description="`sqlite:FILE` or `postgresql://USER@HOST/NAME`; a password is better kept in ~/.pgpass",
     )
-    keep_days: float = Field(default=365.0, gt=0, description="rows that are older are taken out, days")
 
 
 class Database(Outlet[DatabaseOptions]):
@@ -46,17 +44,8 @@ class Database(Outlet[DatabaseOptions]):
     def open(self) -> Iterator[Callable[[Sequence[LineRow]], None]]:
         """Connect and make the table if need be; OutputError where the database cannot be had."""
         kept = connect(self.options.url)
-        pruned = 0.0
         try:
-
-            def deliver(rows: Sequence[LineRow]) -> None:
-                nonlocal pruned
-                kept.insert([_values(row) for row in rows])
-                if time.monotonic() - pruned > _PRUNE_S:
-                    pruned = time.monotonic()
-                    kept.forget(time.time() - 86400.0 * self.options.keep_days)
-
-            yield deliver
+            yield lambda rows: kept.insert([_values(row) for row in rows])
         finally:
             kept.close()
 
@@ -74,10 +63,11 @@ class _Table:
         """Add rows; those that are there stay as they are."""
         raise NotImplementedError
 
-    def forget(self, before_s: float) -> None:
-        """Take out what is older than a time, s since 1970."""
+    def forget(self, line: str, before_s: float) -> None:
+        """Take out what a line told before a time, s since 1970."""
         with self._named():
-            self._db.execute(f"delete from roemetry_rows where time_s < {self.mark}", (before_s,))
+            which = f"line = {self.mark} and time_s < {self.mark}"
+            self._db.execute(f"delete from roemetry_rows where {which}", (line, before_s))
 
     def ask(self, query: str, given: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
         """Give the rows of a query."""
@@ -98,7 +88,7 @@ class _Table:
             f"null, station text not null, kind text not null, time_s {real} not null, {numbers}, {words}, "
             f"late {integer}, text text not null, primary key(line, run, id))"
         )
-        self._db.execute("create index if not exists roemetry_rows_time on roemetry_rows(station, time_s)")
+        self._db.execute("create index if not exists roemetry_rows_line_time on roemetry_rows(line, time_s)")
 
     @contextmanager
     def _named(self) -> Iterator[None]:

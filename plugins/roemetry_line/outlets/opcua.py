@@ -33,6 +33,8 @@ _RESULT_READY = 1024
 """Number of ResultReadyEventType in the nodeset."""
 _START_S, _TELL_S = 30.0, 10.0
 _FOLLOW_S = 0.5
+_STUCK_S = 1.5
+"""So long a client may leave events of its subscription waiting, s."""
 _STATES = {
     "starting": ("Preoperational", "Initialized"),
     "running": ("Operational", "ContinuousExecution"),
@@ -164,15 +166,35 @@ class _VisionSystem:
             self._following = asyncio.create_task(self._follow(ua, vision, self._line))
 
     async def _follow(self, ua: Any, vision: int, line: LineControl) -> None:
-        """Let the state machines follow the line."""
-        shown = "starting"
+        """Let the state machines follow the line, and tell of clients that take no events."""
+        shown, warned = "starting", None
+        await asyncio.to_thread(line.warn, None)
         while True:
             with suppress(OutputError, ua.UaError):  # its file cannot be read just now, or the server stops
                 state = await asyncio.to_thread(line.state)
                 if state != shown:
                     await self._show_state(ua, vision, state)
                     shown = state
+                stuck = self._stuck_clients()
+                if stuck != warned:
+                    await asyncio.to_thread(line.warn, stuck)
+                    warned = stuck
             await asyncio.sleep(_FOLLOW_S)
+
+    def _stuck_clients(self) -> str | None:
+        """Name the clients whose events wait because they ask for none; None where there are none."""
+        names = {
+            one.processor.session.session_id: one.peer_name[0]
+            for one in self._server.bserver.clients
+            if one.processor is not None and one.processor.session is not None
+        }
+        stuck = {
+            names.get(one.session_id, "one that is gone")
+            for one in self._server.iserver.subscription_service.subscriptions.values()
+            if one._triggered_events
+            and 1e-3 * one._publish_cycles_count * one.data.RevisedPublishingInterval > _STUCK_S
+        }
+        return f"clients that take no events: {', '.join(sorted(stuck))}" if stuck else None
 
     async def _show_state(self, ua: Any, vision: int, state: str) -> None:
         machine = await self._system.get_child([f"{vision}:VisionStateMachine"])
@@ -301,9 +323,7 @@ class _VisionSystem:
             return
         node, kind = self._values[name]
         unknown = ua.StatusCode(ua.StatusCodes.BadNoData)
-        written = (
-            ua.DataValue(ua.Variant(told, kind)) if told is not None else ua.DataValue(StatusCode_=unknown)
-        )
+        written = ua.DataValue(ua.Variant(told, kind)) if told is not None else ua.DataValue(None, unknown)
         await self._server.write_attribute_value(node.nodeid, written)
 
     async def stop(self) -> None:

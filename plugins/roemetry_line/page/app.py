@@ -171,13 +171,13 @@ class LinePage:
         return JSONResponse(await run_in_threadpool(self._charted, station, figure, since_s))
 
     def _charted(self, station: str, figure: history.Figure, back_s: float) -> dict[str, Any]:
-        if not history.begun(self._line):
+        if not self._line.history_begun:
             return history_page.told({}, {})
         table = history.history_of(self._line)
         try:
             since_s = time.time() - back_s
-            counts = history.counts_of(table, station, since_s)
-            return history_page.told(counts, history.charts_of(table, figure, station, since_s))
+            of = self._line.name, station, since_s
+            return history_page.told(history.counts_of(table, *of), history.charts_of(table, figure, *of))
         finally:
             table.close()
 

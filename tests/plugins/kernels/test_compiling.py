@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -100,6 +101,18 @@ def test_what_is_damaged_on_disk_is_compiled_anew_and_said_once(package: Path, e
     assert "is damaged" in warned
     assert warned.count("KernelCacheWarning:") == 1
     assert ran(package.parent) == ["7.0", "1"]
+
+
+def test_two_processes_name_no_function_alike(package: Path) -> None:
+    """The linker takes one for the other where both are read from disk."""
+    names: list[set[bytes]] = []
+    for _ in range(2):
+        assert ran(package.parent) == ["7.0", "0"]
+        code = b"".join(path.read_bytes() for path in (package / "__pycache__").glob("*.nbc"))
+        names.append(set(re.findall(rb"roemetry_made6caller6callerB\d+v\d+", code)))
+        (package / "caller.py").write_text(CALLER + "# changed\n")
+    assert len(names[0]) == len(names[1]) == 1
+    assert names[0] != names[1]
 
 
 def test_what_another_processor_made_stands_aside(package: Path) -> None:

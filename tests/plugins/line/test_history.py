@@ -7,9 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roemetry.errors import OutputError
 from roemetry_line.control_charts import chart_of
+from roemetry_line.days import tidy, write_days
 from roemetry_line.gate import GateSection, ShiftRegister, count_at_gate
-from roemetry_line.history import charts_of, counts_of, export_days
+from roemetry_line.history import charts_of, counts_of
+from roemetry_line.line_file import Line
 from roemetry_line.outlets.database import COLUMNS, connect
 
 HOUR_S = 3600.0
@@ -62,22 +65,54 @@ def table(tmp_path):
 
 def test_counts_and_values_come_from_the_table(tmp_path) -> None:
     made = table(tmp_path)
-    assert counts_of(made, "s", 0.0) == {"good": 32, "measured": 16}
-    assert counts_of(made, "other", 0.0) == {}
-    charts = charts_of(made, "mass_g", None, 42 * HOUR_S)
+    assert counts_of(made, "l", "s", 0.0) == {"good": 32, "measured": 16}
+    assert counts_of(made, "l", "other", 0.0) == {}
+    charts = charts_of(made, "mass_g", "l", None, 42 * HOUR_S)
     assert list(charts) == ["roe", "cod"], "the product that was measured last comes first"
     assert charts["roe"].times_s.tolist() == [43 * HOUR_S, 45 * HOUR_S, 47 * HOUR_S]
     assert charts["roe"].values.tolist() == [63.0, 65.0, 67.0]
     assert charts["cod"].values.tolist() == [62.0, 64.0, 66.0]
 
 
-def test_closed_days_become_parquet_once(tmp_path) -> None:
+def test_closed_days_become_parquet_once_and_again_where_rows_came_late(tmp_path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
+    made, days = table(tmp_path), tmp_path / "days"
+    (written,) = write_days(made, "l", days, now=40 * HOUR_S)
+    assert written.name == "1970-01-01.parquet"
+    found = parquet.read_table(written)
+    assert found.column("mass_g").to_pylist() == [20.0 + n for n in range(24)]
+    assert found.column("decision").null_count == 24
+    assert str(found.schema.field("decision").type) == "string", "of one type in every file"
+    assert write_days(made, "l", days, now=40 * HOUR_S) == []
+    made.insert([["l", "r", "late", "s", "product", 3.5 * HOUR_S, *[None] * 13, "{}"]])
+    assert write_days(made, "l", days, now=40 * HOUR_S) == [written]
+    assert parquet.read_table(written).column("id").to_pylist()[4] == "late"
+    made.forget("l", 12 * HOUR_S)
+    assert write_days(made, "l", days, now=40 * HOUR_S) == [], "what is forgotten stays in its file"
+    assert [path.name for path in days.iterdir()] == ["1970-01-01.parquet"]
+    assert write_days(made, "another line", days, now=40 * HOUR_S) == []
+
+
+def test_nothing_is_forgotten_before_its_day_is_written(line, tmp_path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    recipe = line()
+    path = recipe.parent / "line.yaml"
+    path.write_text(
+        "roemetry_line: 1\nname: l\nfolder: data\n"
+        "stations: [{name: s, recipe: recipe.yaml, feed: folder-watch}]\n"
+        f"history: {{url: 'sqlite:{tmp_path}/h.sqlite', days: days, keep_days: 2}}\n"
+    )
     made = table(tmp_path)
-    written = export_days(made, tmp_path / "days", now=40 * HOUR_S)
-    assert [path.name for path in written] == ["1970-01-01.parquet"]
-    assert parquet.read_table(written[0]).column("mass_g").to_pylist() == [20.0 + n for n in range(24)]
-    assert export_days(made, tmp_path / "days", now=40 * HOUR_S) == []
+    (recipe.parent / "data").mkdir()
+    blocked = recipe.parent / "data" / "days"
+    blocked.write_text("not a folder")
+    with pytest.raises(OutputError, match="days"):
+        tidy(Line.load(path))
+    assert made.ask("select count(*) from roemetry_rows") == [(48,)]
+    blocked.unlink()
+    tidy(Line.load(path))
+    assert made.ask("select count(*) from roemetry_rows") == [(0,)]
+    assert [parquet.ParquetFile(day).metadata.num_rows for day in sorted(blocked.iterdir())] == [24, 24]
 
 
 @pytest.mark.parametrize(

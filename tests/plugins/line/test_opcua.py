@@ -75,7 +75,9 @@ def test_a_client_gets_every_result_and_may_change_nothing() -> None:
     with OpcUa(OpcUaOptions(port=port)).open() as deliver:
         deliver([row(1)])
         found = ran(
-            listened(f"opc.tcp://127.0.0.1:{port}/roemetry", lambda: deliver([row(2), row(3), row(4)]))
+            listened(
+                f"opc.tcp://127.0.0.1:{port}/roemetry", lambda: deliver([row(2), row(3, mass_g=None), row(4)])
+            )
         )
     assert [key for key, _ in found["events"]] == [f"l/r/00000{n}#1" for n in (2, 3, 4)]
     assert json.loads(found["events"][0][1][0])["latency_ms"] == 3.5
@@ -90,6 +92,7 @@ class Desk:
     def __init__(self) -> None:
         self.now = "running"
         self.chosen: list[tuple[str, str, str]] = []
+        self.warned: list[str | None] = []
 
     def state(self):
         return self.now
@@ -100,6 +103,9 @@ class Desk:
     def choose(self, station, recipe, who):
         self.chosen.append((station, recipe, who))
         return True
+
+    def warn(self, text):
+        self.warned.append(text)
 
 
 async def managed(client, desk: Desk) -> dict[str, Any]:
@@ -150,11 +156,41 @@ async def managed(client, desk: Desk) -> dict[str, Any]:
     return found
 
 
-def test_a_line_is_followed_and_strangers_choose_no_recipe(monkeypatch) -> None:
+async def until(condition) -> None:
+    for _ in range(200):
+        if condition():
+            return
+        await asyncio.sleep(0.02)
+    raise AssertionError("it does not come")
+
+
+async def stuck(url: str, deliver, desk: Desk) -> list[str]:
+    """Subscribe, ask for no events until the line is told of it, then ask again; give what came."""
+    from asyncua import Client, ua
+
+    async with Client(url, timeout=5) as client:
+        vision = await client.get_namespace_index(VISION)
+        own = await client.get_namespace_index("urn:roemetry:line")
+        listener = Listener()
+        subscription = await client.create_subscription(20, listener)
+        system = client.get_node(ua.NodeId("VisionSystem", own))
+        await subscription.subscribe_events(system, client.get_node(ua.NodeId(1024, vision)))
+        client.uaclient._publish_task.cancel()
+        for number in range(1, 6):
+            await asyncio.to_thread(deliver, [row(number)])
+            await asyncio.sleep(0.03)
+        await until(lambda: desk.warned[-1] is not None)
+        client.uaclient.session.ensure_publish_loop()
+        await until(lambda: desk.warned[-1] is None and listener.events[-1].MeasId.Id == "000005#1")
+        return [one.MeasId.Id for one in listener.events]
+
+
+def test_a_line_is_followed_strangers_choose_no_recipe_and_a_stuck_client_is_told(monkeypatch) -> None:
     from asyncua import Client
 
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)
     monkeypatch.setattr("roemetry_line.outlets.opcua._FOLLOW_S", 0.05)
+    monkeypatch.setattr("roemetry_line.outlets.opcua._STUCK_S", 0.2)
     port = free_port()
     outlet, desk = OpcUa(OpcUaOptions(port=port)), Desk()
     outlet.line = desk
@@ -174,14 +210,19 @@ def test_a_line_is_followed_and_strangers_choose_no_recipe(monkeypatch) -> None:
 
     from asyncua import ua
 
-    with outlet.open():
+    with outlet.open() as deliver:
         found, refused = ran(asked())
+        told = ran(stuck(f"opc.tcp://127.0.0.1:{port}/roemetry", deliver, desk))
     assert found["recipes"] == ["one/roe/recipe.yaml", "one/cod/recipe.yaml"]
     assert found["one/cod/recipe.yaml"] == "BadUserAccessDenied"
     assert found["Halt"] == "BadNotSupported"
     assert (found["running"], found["faulty"]) == ("Operational", "Error")
     assert desk.chosen == []
     assert refused
+    waited = [f"00000{n}#1" for n in range(1, 6)]
+    assert told == waited[-len(told) :], "what waited comes, in order"
+    assert len(told) >= 3, "two answers were on their way when it stopped asking"
+    assert desk.warned == [None, "clients that take no events: 127.0.0.1", None]
 
 
 def test_only_trusted_clients_that_encrypt_get_in(tmp_path) -> None:

@@ -164,7 +164,7 @@ def test_a_webhook_signs_and_takes_200_only(tmp_path) -> None:
 def test_a_database_keeps_each_row_once(tmp_path) -> None:
     url = f"sqlite:{tmp_path / 'h.sqlite'}"
     for _ in range(2):
-        with Database(DatabaseOptions(url=url, keep_days=1e6)).open() as deliver:
+        with Database(DatabaseOptions(url=url)).open() as deliver:
             deliver([row(1), row(2, mass_g=None)])
     found = connect(url).ask("select line, run, id, mass_g, station, time_s from roemetry_rows order by id")
     assert found == [("l", "r", "000001#1", 21.0, "s", 1001.0), ("l", "r", "000002#1", None, "s", 1002.0)]
@@ -178,7 +178,8 @@ def test_old_rows_are_forgotten(tmp_path) -> None:
     table.insert([database._values(row(n)) for n in (2, 3, 4)])
     found = table.ask("select id, mass_g, latency_ms from roemetry_rows order by id")
     assert found == [(f"{n:06d}#1", 20.0 + n, 3.5) for n in (1, 2, 3, 4)]
-    table.forget(1003.0)
+    table.forget("another", 1003.0)
+    table.forget("l", 1003.0)
     assert table.ask("select count(*) from roemetry_rows") == [(2,)]
 
 

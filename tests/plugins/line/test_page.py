@@ -228,11 +228,11 @@ def test_charts_and_checks_are_drawn(at) -> None:
 
     table = connect(loaded.history_url)
     rows = []
-    for n in range(30):
+    for n in range(40):
         found = dict.fromkeys(COLUMNS) | {
-            "line": "l", "run": "r", "id": str(n), "station": "one", "kind": "product", "text": "{}",
-            "time_s": time.time() - 60.0 * n, "mass_g": 20.0 + n % 3, "status": "measured",
-            "product": "<b>roe</b>",
+            "line": "line-1" if n < 30 else "another", "run": "r", "id": str(n), "station": "one",
+            "kind": "product", "text": "{}", "time_s": time.time() - 60.0 * n, "mass_g": 20.0 + n % 3,
+            "status": "measured", "product": "<b>roe</b>",
         }  # fmt: skip
         rows.append([found[name] for name in COLUMNS])
     table.insert(rows)

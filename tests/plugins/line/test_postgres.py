@@ -49,7 +49,7 @@ def server():
 
 def test_rows_are_kept_once_across_a_crash(server) -> None:
     url, start, stop = server
-    outlet = Database(DatabaseOptions(url=url, keep_days=1e6))
+    outlet = Database(DatabaseOptions(url=url))
     with outlet.open() as deliver:
         deliver([row(n) for n in range(1, 51)])
         stop()
@@ -63,6 +63,6 @@ def test_rows_are_kept_once_across_a_crash(server) -> None:
         deliver([row(n) for n in range(41, 61)])
     table = connect(url)
     assert table.ask("select count(*), count(distinct id) from roemetry_rows") == [(60, 60)]
-    assert counts_of(table, "s", 0.0) == {"measured": 60}
-    assert charts_of(table, "mass_g", "s", 0.0)[""].values.tolist() == [20.0 + n for n in range(1, 61)]
+    assert counts_of(table, "l", "s", 0.0) == {"measured": 60}
+    assert charts_of(table, "mass_g", "l", "s", 0.0)[""].values.tolist() == [20.0 + n for n in range(1, 61)]
     table.close()

@@ -41,7 +41,7 @@ def test_a_spool_is_a_data_set(tmp_path, rng) -> None:
     spool = runs.Spool(run, 1.0)
     taken = [Frame(rng.integers(0, 4096, (6, 8)).astype(np.uint16), bit_depth=12, time_s=5.5 + n,
                    encoder_count=100.0 + n) for n in range(3)]  # fmt: skip
-    given_on = [spool.add(frame) for frame in taken]
+    given_on = [spool.add((frame,)) for frame in taken]
     spool.close()
     source = DatasetSource()
     references = source.references(run)
@@ -61,7 +61,7 @@ def test_the_oldest_images_go_first(tmp_path) -> None:
     folder = runs.new_run(tmp_path, "s")
     spool = runs.Spool(folder, 1.0)
     for _ in range(4):
-        spool.add(Frame(np.zeros((100, 100), np.uint8)))
+        spool.add((Frame(np.zeros((100, 100), np.uint8)),))
     spool.close()
     assert runs.thin_out(tmp_path, "s", 2.5e-5) == 2
     assert [path.stem for path in sorted((folder / "images").iterdir())] == ["000003", "000004"]
