@@ -160,7 +160,7 @@ def _reachable(address: str) -> Iterator[None]:
         yield
     except (OSError, CancelledError) as error:
         raise InterruptedRunError(
-            f"{address}: the cluster's scheduler is gone: {error}",
+            f"{address}: the cluster's scheduler is gone",
             hint="what was measured is whole; when the scheduler is back, go on with --resume",
         ) from error
 
@@ -173,6 +173,8 @@ def _refuse_other_software(client: Any) -> None:
         answers = client.run(software, on_error="return")
     faults = []
     for worker, theirs in sorted(answers.items()):
+        if isinstance(theirs, OSError):  # it has just died; what takes its place is checked when it is warmed
+            continue
         if not isinstance(theirs, dict):
             faults.append(f"{worker}: cannot load roemetry: {theirs}")
             continue
