@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from roemetry.cli.options import out_option, set_option
+from roemetry.cli.options import cluster_option, executor_of, out_option, set_option
 
 if TYPE_CHECKING:
     from roemetry.config.recipe import Recipe
@@ -160,6 +160,7 @@ def simulate(
             help="Worker processes; the bytes are the same for any number; default: all cores.",
         ),
     ] = None,
+    cluster: Annotated[str | None, cluster_option()] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with a set that was stopped, or make it longer.")
     ] = False,
@@ -180,14 +181,14 @@ def simulate(
     changes = list(sets or ())
     if product is not None:
         changes.append(f"simulator.options.product={{family: {product}}}")
-    loaded = Scene.load(scene, sets=changes)
+    loaded = Scene.load(scene if cluster is None else scene.absolute(), sets=changes)
     with progress("simulating", quiet=False) as on_progress:
         made = simulate_scene(
             loaded,
-            out,
+            out if cluster is None else out.absolute(),
             count=count,
             seed=seed,
-            jobs=jobs or os.cpu_count() or 1,
+            executor=executor_of(cluster, jobs or os.cpu_count() or 1),
             resume=resume,
             calibration=calibration.value,
             on_progress=on_progress,

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from roemetry.run.executors import Executor
 
 
 def set_option(told: str) -> Any:
@@ -26,3 +29,24 @@ def next_folder(recipe: Path, ending: str = "") -> Path:
     while (folder := Path("results") / f"{name}-{number}").exists():
         number += 1
     return folder
+
+
+def cluster_option() -> Any:
+    """Give ``--cluster``."""
+    return typer.Option(
+        "--cluster",
+        metavar="ADDRESS",
+        help="Do the work on a dask cluster instead: its scheduler's address, such as tcp://10.0.0.5:8786, "
+        "or local for one of --jobs processes on this machine; same record.",
+    )
+
+
+def executor_of(cluster: str | None, jobs: int) -> Executor:
+    """Give what does the work: `jobs` processes, or the workers of a cluster."""
+    from roemetry.run.workers import Processes
+
+    if cluster is None:
+        return Processes(jobs)
+    from roemetry.run.cluster import Cluster
+
+    return Cluster(cluster, jobs)

@@ -18,7 +18,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from roemetry.cli.options import next_folder, out_option, set_option
+from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, set_option
 from roemetry.records import Estimate, Measurement
 from roemetry.records.units import MM3_PER_CM3, stated
 
@@ -42,6 +42,7 @@ def run(
             help="Worker processes; the record is the same, byte for byte, for any number.",
         ),
     ] = 1,
+    cluster: Annotated[str | None, cluster_option()] = None,
     sets: Annotated[
         list[str] | None, set_option("Change the recipe for this run, e.g. source.path=images")
     ] = None,
@@ -81,9 +82,11 @@ def run(
     drawn = [] if draws is None else [Implied(f"draws={draws}", f"--draws {draws}")]
     changes = [*(sets or ()), *drawn]
     # what a plugin prints must not stand among the JSON
+    executor = executor_of(cluster, jobs)
     printed = contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext()
     with printed:
-        loaded = Recipe.load(recipe, sets=changes)
+        # the workers of a cluster stand in folders of their own
+        loaded = Recipe.load(recipe if cluster is None else recipe.absolute(), sets=changes)
         folder = out or next_folder(loaded.path)
         try:
             with progress("compiling kernels, first run only", quiet=as_json) as on_progress:
@@ -95,7 +98,7 @@ def run(
                     stop_if_asked()
 
                 outcome = run_recipe(
-                    loaded, folder, jobs=jobs, resume=resume, debug=debug, on_progress=on_progress
+                    loaded, folder, executor=executor, resume=resume, debug=debug, on_progress=on_progress
                 )
         except KeyboardInterrupt as stop:
             raise InterruptedRunError(

@@ -17,6 +17,7 @@ from roemetry.run.batch import measure_all
 from roemetry.run.control_chart import calibration_doubts
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.rows import measurements_of
+from roemetry.run.workers import Processes
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,7 +55,7 @@ class Recipe(CheckedRecipe):
             The source has nothing.
         """
         references = self.references()
-        for lines, _ in measure_all(self, references, jobs, debug):
+        for lines, _ in measure_all(self, references, Processes(jobs), debug):
             for line in lines:
                 yield Measurement.from_json(line)
 

@@ -24,10 +24,11 @@ from roemetry.config.recipe import Recipe
 from roemetry.errors import FAULTS, DataError, RoemetryError
 from roemetry.io.files import LineFile, exclusive, make_folder, sha256_of, write_whole
 from roemetry.records import AcquisitionReference, Reason, Trace
+from roemetry.run.executors import Executor, Lost
 from roemetry.run.pipeline import Pipeline, frame_of
 from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, read_record, summed_up
 from roemetry.run.rows import failed, measurements_of
-from roemetry.run.workers import in_order
+from roemetry.run.workers import Processes
 from roemetry.stages import Run
 
 Measured = tuple[list[str], Mapping[str, float]]
@@ -52,6 +53,7 @@ def run_recipe(
     folder: Path,
     *,
     jobs: int = 1,
+    executor: Executor | None = None,
     resume: bool = False,
     debug: bool = False,
     on_progress: Callable[[int, int], None] = lambda done, of: None,
@@ -66,6 +68,8 @@ def run_recipe(
         Where to write; created if needed.
     jobs
         Worker processes; results are the same, and in the same order, for any number.
+    executor
+        What does the work instead of `jobs` processes, such as a `roemetry.run.cluster.Cluster`.
     resume
         Go on with a run of the same recipe that was stopped; what is measured stays as it is.
     debug
@@ -90,14 +94,14 @@ def run_recipe(
     references = recipe.references()
     make_folder(folder)
     with exclusive(folder):
-        return _run(recipe, folder, references, jobs, resume, debug, on_progress)
+        return _run(recipe, folder, references, executor or Processes(jobs), resume, debug, on_progress)
 
 
 def _run(
     recipe: Recipe,
     folder: Path,
     references: Sequence[AcquisitionReference],
-    jobs: int,
+    executor: Executor,
     resume: bool,
     debug: bool,
     on_progress: Callable[[int, int], None],
@@ -113,7 +117,7 @@ def _run(
     with TemporaryDirectory(prefix=".traces-", dir=folder) as traces:
         kept = KeptTraces(Path(traces), frozenset(reference.id for reference in references[:replayed]))
         with LineFile(folder / RECORD) as record:
-            for lines, took in measure_all(recipe, to_do, jobs, debug, kept):
+            for lines, took in measure_all(recipe, to_do, executor, debug, kept):
                 record.append("\n".join(lines))
                 finished += 1
                 for stage, value in took.items():
@@ -177,7 +181,7 @@ def derive(
 def measure_all(
     recipe: Recipe,
     references: Sequence[AcquisitionReference],
-    jobs: int,
+    executor: Executor,
     debug: bool,
     kept: KeptTraces | None = None,
 ) -> Iterator[Measured]:
@@ -185,7 +189,12 @@ def measure_all(
 
     Those of its traces that are to be `kept` are put there.
     """
-    yield from in_order(_Worker, (recipe, debug, kept), references, jobs)
+    for found in executor.in_order(_Worker, (recipe, debug, kept), references):
+        if isinstance(found, Lost):
+            why = Reason("process-died", found.why)
+            yield [failed(found.task.id, "source", why, recipe.hashes).to_json()], {}
+        else:
+            yield found
 
 
 class _Worker:

@@ -24,11 +24,12 @@ from roemetry.config.dataset import (
 )
 from roemetry.config.recipe_file import SensorFile
 from roemetry.config.scene import Scene
-from roemetry.errors import OutputError
+from roemetry.errors import InterruptedRunError, OutputError
 from roemetry.io.files import exclusive, make_folder, write_whole
 from roemetry.io.yaml_source import dump
 from roemetry.records import Frame, Role
-from roemetry.run.workers import in_order
+from roemetry.run.executors import Executor, Lost
+from roemetry.run.workers import Processes
 from roemetry.stages import Simulator
 
 Calibration = Literal["none", "basic", "charuco", "all"]
@@ -69,6 +70,7 @@ def simulate(
     count: int,
     seed: int = 1,
     jobs: int = 1,
+    executor: Executor | None = None,
     resume: bool = False,
     calibration: Calibration = "basic",
     on_progress: Callable[[int, int], None] = lambda done, of: None,
@@ -87,6 +89,8 @@ def simulate(
         The same scene, seed and number give the same bytes.
     jobs
         Worker processes; the same bytes for any number.
+    executor
+        What does the work instead of `jobs` processes; its workers write into `folder`.
     resume
         Go on with a set of the same scene and seed; it may also become longer.
     calibration
@@ -123,7 +127,9 @@ def simulate(
         total = len(views) + count
         done = total - len(tasks)
         on_progress(done, total)
-        for item in in_order(_Worker, (scene, folder, seed), tasks, jobs):
+        for item in (executor or Processes(jobs)).in_order(_Worker, (scene, folder, seed), tasks):
+            if isinstance(item, Lost):
+                raise InterruptedRunError(f"{item.task}: {item.why}", hint="go on with --resume")
             if item is not None:
                 writer.add(item)
             done += 1

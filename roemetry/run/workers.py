@@ -9,16 +9,15 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from roemetry.errors import InterruptedRunError
+from roemetry.run.executors import Lost, Result, Task
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
-
-Task = TypeVar("Task")
-Result = TypeVar("Result")
 
 _CHUNK_S = 0.03
 """Work that is handed to a process at once, s: long beside the handing over, too short to notice."""
@@ -28,43 +27,49 @@ _WAITING_PER_JOB = 4
 """Chunks that wait for each process: none stands idle while the results are written down."""
 
 
-def in_order(
-    make: Callable[..., Callable[[Task], Result]], given: tuple[Any, ...], tasks: Sequence[Task], jobs: int
-) -> Iterator[Result]:
-    """Give ``make(*given)(task)`` for each task, in order; every process makes its own worker once.
+@dataclass(frozen=True, slots=True)
+class Processes:
+    """An `Executor` of processes on this machine; with one job, the work is done in this very process."""
 
-    InterruptedRunError where a process died.
-    """
-    if jobs == 1 or len(tasks) < 2:
-        worker = make(*given)
-        for task in tasks:
-            yield worker(task)
-        return
-    from concurrent.futures import ProcessPoolExecutor
-    from concurrent.futures.process import BrokenProcessPool
-    from multiprocessing import get_context
+    jobs: int
 
-    # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
-    with ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn"), _start, (make, given)) as pool:
-        waiting: deque[Future[tuple[list[Any], float]]] = deque()
-        coming = iter(tasks)
-        together = 1
-        try:
-            while True:
-                while len(waiting) < _WAITING_PER_JOB * jobs and (chunk := list(islice(coming, together))):
-                    waiting.append(pool.submit(_work, chunk))
-                if not waiting:
-                    return
-                results, slowest_s = waiting.popleft().result()
-                together = min(_CHUNK_MAX, 1 + int(_CHUNK_S / max(slowest_s, 1e-6)))
-                yield from results
-        except BrokenProcessPool as error:
-            raise InterruptedRunError(
-                "a worker process died (killed by the system, perhaps for want of memory)",
-                hint="what was measured is whole; go on with --resume and fewer --jobs",
-            ) from error
-        finally:
-            pool.shutdown(cancel_futures=True)
+    def in_order(
+        self, make: Callable[..., Callable[[Task], Result]], given: tuple[Any, ...], tasks: Sequence[Task]
+    ) -> Iterator[Result | Lost[Task]]:
+        """See `Executor.in_order`; InterruptedRunError where a process died."""
+        jobs = self.jobs
+        if jobs == 1 or len(tasks) < 2:
+            worker = make(*given)
+            for task in tasks:
+                yield worker(task)
+            return
+        from concurrent.futures import ProcessPoolExecutor
+        from concurrent.futures.process import BrokenProcessPool
+        from multiprocessing import get_context
+
+        # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
+        with ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn"), _start, (make, given)) as pool:
+            waiting: deque[Future[tuple[list[Any], float]]] = deque()
+            coming = iter(tasks)
+            together = 1
+            try:
+                while True:
+                    while len(waiting) < _WAITING_PER_JOB * jobs and (
+                        chunk := list(islice(coming, together))
+                    ):
+                        waiting.append(pool.submit(_work, chunk))
+                    if not waiting:
+                        return
+                    results, slowest_s = waiting.popleft().result()
+                    together = min(_CHUNK_MAX, 1 + int(_CHUNK_S / max(slowest_s, 1e-6)))
+                    yield from results
+            except BrokenProcessPool as error:
+                raise InterruptedRunError(
+                    "a worker process died (killed by the system, perhaps for want of memory)",
+                    hint="what was measured is whole; go on with --resume and fewer --jobs",
+                ) from error
+            finally:
+                pool.shutdown(cancel_futures=True)
 
 
 _worker: Callable[[Any], Any] | None = None
