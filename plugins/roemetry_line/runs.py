@@ -64,7 +64,7 @@ class Spool:
         self._run = run
         self._keep_bytes = keep_gb * 1e9
         self._count = 0
-        self._before: Frame | None = None
+        self._before: NDArray[Any] | None = None
         make_folder(run / _IMAGES)
         description = Description(
             roemetry_dataset=1, name=run.name, licence="LicenseRef-own", notes="spooled"
@@ -75,8 +75,9 @@ class Spool:
         """Write a product's frames; give them as they will be read again, and their hashes for the record."""
         self._count += 1
         name = f"{self._count:06d}"
-        acquisition = Acquisition(name, frames, before=self._before and self._before.pixels)
-        self._before = acquisition.frame("laser")
+        acquisition = Acquisition(name, frames, before=self._before)
+        taken = acquisition.frame("laser")
+        self._before = None if taken is None else taken.pixels
         if self._keep_bytes == 0:
             return acquisition, {}
         files: dict[Role, str] = {}
