@@ -75,7 +75,7 @@ class Spool:
         """Write a product's frames; give them as they will be read again, and their hashes for the record."""
         self._count += 1
         name = f"{self._count:06d}"
-        acquisition = Acquisition(name, frames, before=self._before and self._before.pixels)
+        acquisition = Acquisition(name, frames, before=None if self._before is None else self._before.pixels)
         self._before = acquisition.frame("laser")
         if self._keep_bytes == 0:
             return acquisition, {}
