@@ -48,7 +48,7 @@ class Density(Weigher[DensityOptions]):
     def weigh(self, product: Product, volume: Volume, *, rng: np.random.Generator | None = None) -> Weight:
         """Reckon the mass; given `rng`, draw the density from a normal distribution if its std is given."""
         chosen = volume.visible_mm3 if volume.true_mm3 is None else volume.true_mm3
-        reasons = (_VISIBLE_FOR_TRUE,) if volume.true_mm3 is None else ()
+        reasons: tuple[Reason, ...] = (_VISIBLE_FOR_TRUE,) if volume.true_mm3 is None else ()
         if math.isnan(chosen.value):
             reasons = volume.reasons  # they say why there is none
         density, density_std = self.options.density_g_per_cm3, self.options.density_std_g_per_cm3
