@@ -29,10 +29,15 @@ def runs_now(folder: Path) -> bool:
 
 @contextmanager
 def alone(folder: Path, name: str, stop: threading.Event) -> Iterator[bool]:
-    """Be the one process of this name; wait for one of the line before, which drains. False: told to stop."""
+    """Be the one process of this name; wait for one of the line before, which drains. False: told to stop.
+
+    Who is told to stop before that is asked for the place once all the same: what waits can still be drained.
+    """
     own = folder / "locks" / name
     make_folder(own)
-    while not stop.is_set():
+    first = True
+    while first or not stop.is_set():
+        first = False
         kept = exclusive(own)
         try:
             kept.__enter__()

@@ -582,7 +582,7 @@ def main() -> int:
     line = line_file.Line.load(path, with_recipes=False)
     outbox = Outbox(line.folder)
     with alone(line.folder, f"station-{name}", stop) as mine:
-        if mine:
+        if mine and not stop.is_set():
             StationProcess(line, name, outbox, stop).run()
     return 0
 
