@@ -40,6 +40,7 @@ NOT_RUN = {
     r"roemetry tune ": "serves until it is stopped",
     r"roemetry (serve|history) ": "serves until it is stopped: whole lines run in tests/plugins/line",
     r"roemetry doctor line.yaml": "tries a camera and a broker: tested in tests/plugins/line",
+    r"roemetry run .*--cluster tcp:": "needs a scheduler: tested with one in test_cluster.py",
     r"roemetry run \S+ --out \S+ --resume": "goes on with a run that was stopped: tested with real kills",
     r"roemetry simulate .*--resume": "goes on with a set that was stopped: tested with real kills",
     r"roemetry simulate .*--out skeins": "a set of that name lies there already, in full size",

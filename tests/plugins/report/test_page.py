@@ -9,7 +9,7 @@ from html import unescape
 import pytest
 
 from roemetry.errors import OutputError
-from roemetry.records import Estimate, Grade, Shares, Trace, Volume, Weight
+from roemetry.records import Estimate, Grade, Reason, Shares, Trace, Volume, Weight
 from roemetry_report.sink import Report, ReportOptions
 
 NASTY = "run & <script>alert(\"1\")</script> 'x'"
@@ -189,13 +189,15 @@ def test_provenance_may_lack_anything(synthetic, tmp_path, provenance):
 
 
 def test_nothing_but_nan_is_a_page_too(synthetic, tmp_path):
-    nan = math.nan
+    nan, why = math.nan, (Reason("not-seen", "nothing of it was seen"),)
     (row,) = synthetic.measurements_of(synthetic.Scene("a"))
     row = replace(
         row,
         height_max_mm=Estimate(nan),
-        volume=Volume(Estimate(nan), Estimate(nan), Shares(nan, nan, nan), [0, 1], [nan, nan], [nan, nan]),
-        weight=Weight(Estimate(nan)),
+        volume=Volume(
+            Estimate(nan), Estimate(nan), Shares(nan, nan, nan), [0, 1], [nan, nan], [nan, nan], why
+        ),
+        weight=Weight(Estimate(nan), why),
         grade=Grade("unknown", features={"radius_px": nan}),
         coding=replace(row.coding, saturated_share=nan, displacement_max_px=nan, peaks=0, coded=0),
     )
