@@ -23,6 +23,7 @@ from typing import Any
 from roemetry.config.recipe import Recipe
 from roemetry.errors import FAULTS, DataError, RoemetryError
 from roemetry.io.files import LineFile, exclusive, make_folder, sha256_of, write_whole
+from roemetry.io.remote import Url, read_ahead
 from roemetry.records import AcquisitionReference, Reason, Trace
 from roemetry.run.executors import Executor, Lost
 from roemetry.run.pipeline import Pipeline, frame_of
@@ -209,11 +210,18 @@ class _Worker:
         self._hashes = recipe.hashes
         self._doubts = _doubts_of(recipe)
 
+    def ahead(self, references: Sequence[AcquisitionReference]) -> None:
+        """Begin to fetch what will be read next."""
+        read_ahead(path for reference in references for path in reference.files.values())
+
     def __call__(self, reference: AcquisitionReference) -> Measured:
         try:
             before = _states_of(reference)
-            acquisition = self._source.read(reference)
             hashes = {f"{role}_sha256": sha256_of(path) for role, path in reference.files.items()}
+            for role, expected in reference.sha256.items():
+                if hashes[f"{role}_sha256"] != expected:
+                    raise DataError(f"{reference.files[role]}: has changed: its bytes have another hash")
+            acquisition = self._source.read(reference)
             if _states_of(reference) != before:  # the hash may not be that of what was decoded
                 raise DataError("an image was written to while it was read", hint="run when it is whole")
         # Whatever a source raises, the batch goes on.
@@ -234,7 +242,8 @@ class _Worker:
 
 def _states_of(reference: AcquisitionReference) -> list[tuple[int, int, int]]:
     """Give what changes when one of the files is written to, or another takes its place."""
-    found = [path.stat() for path in reference.files.values() if path.is_file()]
+    local = (path for path in reference.files.values() if not isinstance(path, Url))  # a URL is read once
+    found = [path.stat() for path in local if path.is_file()]
     return [(state.st_ino, state.st_size, state.st_mtime_ns) for state in found]
 
 

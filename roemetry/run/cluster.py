@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from roemetry.errors import ConfigurationError, InterruptedRunError, PluginError
-from roemetry.run.executors import Lost, Result, Task
+from roemetry.run.executors import Lost, Result, Task, results_of
 
 LOCAL = "local"
 """The address of a cluster that is started on this machine for the run."""
@@ -279,7 +279,7 @@ def _work(payload: bytes, chunk: bytes) -> tuple[list[Any], float]:
         worker = _warm(payload)
     tasks = pickle.loads(chunk)
     begin = time.perf_counter()
-    results = [worker(task) for task in tasks]
+    results = list(results_of(worker, tasks))
     return results, (time.perf_counter() - begin) / len(tasks)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, OutputError
 from roemetry.io.files import LineFile, sha256_of, write_whole
+from roemetry.io.remote import Url
 from roemetry.records import AcquisitionReference, Measurement, Reason
 from roemetry.run.motion_trend import MotionTrend
 
@@ -85,7 +86,12 @@ def _check_images(row: Measurement, reference: AcquisitionReference | None) -> N
     """Refuse to go on with rows of other images than those that are there now."""
     for role, path in ({} if reference is None else reference.files).items():
         measured = row.provenance.get(f"{role}_sha256")
-        if measured is not None and path.is_file() and sha256_of(path) != measured:
+        if measured is None:
+            continue
+        now = reference.sha256.get(role) if reference else None
+        if now is None:  # of what lies on a network only a manifest says the hash without fetching it again
+            now = measured if isinstance(path, Url) or not path.is_file() else sha256_of(path)
+        if now != measured:
             raise OutputError(
                 f"{path}: another image than the one that was measured as {row.acquisition}",
                 hint="choose another folder with --out",
