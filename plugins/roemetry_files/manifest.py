@@ -23,7 +23,7 @@ from roemetry.errors import DataError, OutputError
 from roemetry.io.files import first_fault, write_bytes, write_whole
 from roemetry.io.remote import Url, path_of
 from roemetry.records import Acquisition, AcquisitionReference, Role
-from roemetry.stages import Source, StageOptions
+from roemetry.stages import Capabilities, Source, StageOptions
 from roemetry_files.image_files import in_turn, read_acquisition
 
 _TOGETHER = 32
@@ -45,6 +45,7 @@ class Manifest(Source[StageOptions]):
     """Reads the images that a manifest names; one whose bytes have another hash than it says is refused."""
 
     Options = StageOptions
+    capabilities = Capabilities(fixture="roemetry_files.conformance:two_images")
 
     def references(self, path: Path) -> Sequence[AcquisitionReference]:
         """List the acquisitions in the manifest's order.
@@ -92,7 +93,9 @@ def _entries(path: Path) -> Iterator[Entry]:
                 try:
                     yield reader.validate_json(line)
                 except ValueError as error:
-                    raise DataError(f"{path}:{number}: not a row of a manifest ({first_fault(error)})") from error
+                    raise DataError(
+                        f"{path}:{number}: not a row of a manifest ({first_fault(error)})"
+                    ) from error
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
     except ValueError as error:  # pyarrow's faults are such, too

@@ -47,10 +47,13 @@ def _require_reader(scheme: str) -> None:
         fsspec.get_filesystem_class(scheme)
     except ImportError as error:
         raise PluginError(
-            f"{scheme}://: {error}", hint="pip install 'roemetry[remote]'; for other stores than S3 what it names"
+            f"{scheme}://: {error}",
+            hint="pip install 'roemetry[remote]'; for other stores than S3 what it names",
         ) from error
     except ValueError as error:
-        raise ConfigurationError(f"{scheme}://: {error}", hint="such as s3://, https:// or file://") from error
+        raise ConfigurationError(
+            f"{scheme}://: {error}", hint="such as s3://, https:// or file://"
+        ) from error
 
 
 class Url(type(Path())):  # type: ignore[misc]  # pathlib's class for this system

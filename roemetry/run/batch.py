@@ -217,11 +217,12 @@ class _Worker:
     def __call__(self, reference: AcquisitionReference) -> Measured:
         try:
             before = _states_of(reference)
-            hashes = {f"{role}_sha256": sha256_of(path) for role, path in reference.files.items()}
-            for role, expected in reference.sha256.items():
-                if hashes[f"{role}_sha256"] != expected:
-                    raise DataError(f"{reference.files[role]}: has changed: its bytes have another hash")
+            _refuse_changed(reference)
             acquisition = self._source.read(reference)
+            hashes = {
+                f"{role}_sha256": reference.sha256.get(role) or sha256_of(path)
+                for role, path in reference.files.items()
+            }
             if _states_of(reference) != before:  # the hash may not be that of what was decoded
                 raise DataError("an image was written to while it was read", hint="run when it is whole")
         # Whatever a source raises, the batch goes on.
@@ -238,6 +239,18 @@ class _Worker:
             self._kept.put(trace)
         rows = measurements_of(trace, self._recipe, self._hashes | hashes, self._doubts)
         return [row.to_json() for row in rows], trace.seconds
+
+
+def _refuse_changed(reference: AcquisitionReference) -> None:
+    """Raise DataError where a file has not the hash that it must have."""
+    for role, expected in reference.sha256.items():
+        path = reference.files[role]
+        try:
+            found = sha256_of(path)
+        except OSError as error:
+            raise DataError(f"{path}: the {role} image cannot be read: {error.strerror or error}") from error
+        if found != expected:
+            raise DataError(f"{path}: has changed: its bytes have another hash than the manifest says")
 
 
 def _states_of(reference: AcquisitionReference) -> list[tuple[int, int, int]]:
