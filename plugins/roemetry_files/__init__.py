@@ -46,8 +46,8 @@ def roemetry_stages() -> Iterable[StageEntry]:
 @hookimpl
 def roemetry_verbs() -> Iterable[VerbEntry]:
     """Register what lists and asks files."""
-    yield VerbEntry(
-        "manifest",
-        "roemetry_files.manifest:manifest",
-        "Write a list of a recipe's images: id, URL, hash and size of each.",
-    )
+    for name, summary in (
+        ("manifest", "Write a list of a recipe's images: id, URL, hash and size of each."),
+        ("query", "Ask the results of a run, or of many, by SQL."),
+    ):
+        yield VerbEntry(name, f"roemetry_files.{name}:{name}", summary)

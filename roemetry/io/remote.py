@@ -82,13 +82,15 @@ class Url(type(Path())):  # type: ignore[misc]  # pathlib's class for this syste
         return self.read_bytes().decode(encoding or "utf-8", errors or "strict")
 
     def open(self, mode: str = "r", *_: Any, encoding: str | None = None, **__: Any) -> IO[Any]:
-        """Open the object, fetched whole, for reading; for writing binary files as the store does."""
-        if "w" in mode:
-            with _said_plainly(self):
-                system, name = _system(self)
-                return system.open(name, mode)  # type: ignore[no-any-return]
+        """Open the object, fetched whole, for reading."""
         whole = io.BytesIO(self.read_bytes())
         return whole if "b" in mode else io.TextIOWrapper(whole, encoding=encoding or "utf-8")
+
+    def put(self, file: Path) -> None:
+        """Make the object what a file on this machine is, whole or not at all."""
+        with _said_plainly(self):
+            system, name = _system(self)
+            system.put_file(str(file), name)
 
     def exists(self, **_: Any) -> bool:
         """Say whether there is an object or a folder."""
