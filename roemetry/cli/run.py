@@ -224,6 +224,12 @@ def _memory_mb() -> float | None:
 
 def report(
     folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    product: Annotated[
+        str | None,
+        typer.Option(
+            "--product", metavar="ID", help="Only of this product or image, in a folder of its own."
+        ),
+    ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Make the tables and the report of a run again from its record."""
@@ -232,7 +238,7 @@ def report(
     from roemetry.run.record import recipe_of
 
     recipe, provenance = recipe_of(folder)
-    files, faults = derive(recipe, folder, provenance, debug=debug)
+    files, faults = derive(recipe, folder, provenance, debug=debug, product=product)
     for file in files:
         typer.echo(str(file))
     if faults:

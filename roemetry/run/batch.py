@@ -19,6 +19,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from urllib.parse import quote
 
 from roemetry.config.recipe import Recipe
 from roemetry.errors import FAULTS, DataError, RoemetryError
@@ -27,7 +28,7 @@ from roemetry.io.remote import Url, read_ahead
 from roemetry.records import AcquisitionReference, Reason, Trace
 from roemetry.run.executors import Executor, Lost
 from roemetry.run.pipeline import Pipeline, frame_of
-from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, read_record, summed_up
+from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, read_record, rows_of, summed_up
 from roemetry.run.rows import failed, measurements_of
 from roemetry.run.workers import Processes
 from roemetry.stages import Run
@@ -139,10 +140,11 @@ def derive(
     *,
     debug: bool = False,
     kept: KeptTraces | None = None,
+    product: str | None = None,
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """Let each sink derive its files from the record; a sink that fails does not stop the others.
 
-    Acquisitions whose traces were not `kept` are traced again where a sink asks for them.
+    Those of one `product`, by the id of its row or its acquisition, go to a folder of their own. Acquisitions whose traces were not `kept` are traced again where a sink asks for them.
     """
     # The record has the uncertainties; the replay is for pictures.
     source, pipeline = recipe.source.make(), Pipeline(recipe, draws=0)
@@ -161,6 +163,12 @@ def derive(
         return replace(trace, acquisition=acquisition, frame=frame)
 
     run = Run(folder, recipe.product, lambda: read_record(folder), replay, provenance)
+    if product is not None:
+        rows = rows_of(folder, product)
+        run = replace(
+            run, folder=folder / f"product-{quote(product, safe=' ')}", measurements=lambda: iter(rows)
+        )
+        make_folder(run.folder)
     files: list[Path] = []
     faults: list[str] = []
     for chosen in recipe.sinks:
