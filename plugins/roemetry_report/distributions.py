@@ -30,7 +30,7 @@ _PARTS = 120
 _STANDING_OUT = 3
 """Products named at either end of a distribution."""
 _FAR = 4.5
-"""Robust standard deviations from the median beyond which a product stands out: of a million normal ones 7."""
+"""Robust standard deviations from the median beyond which a product stands out: of normal ones 7 in 10⁶."""
 _MAD_TO_STD = 1.4826
 
 _HEIGHT, _LEFT, _FLOOR = 190.0, 52.0, 140.0

@@ -144,7 +144,8 @@ def derive(
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """Let each sink derive its files from the record; a sink that fails does not stop the others.
 
-    Those of one `product`, by the id of its row or its acquisition, go to a folder of their own. Acquisitions whose traces were not `kept` are traced again where a sink asks for them.
+    Those of one `product`, by the id of its row or its acquisition, go to a folder of their own.
+    Acquisitions whose traces were not `kept` are traced again where a sink asks for them.
     """
     # The record has the uncertainties; the replay is for pictures.
     source, pipeline = recipe.source.make(), Pipeline(recipe, draws=0)
