@@ -201,13 +201,20 @@ def _write_blocks(run: Run, folder: Path) -> Any:
     rows, schemas = run.measurements(), list[Any]()
     units: dict[str, dict[str, str]] = {}
     for number in count():
-        block = list(islice(rows, _BLOCK))
-        if not block and schemas:
+        found: dict[str, list[Any]] = {heading: [] for heading in COLUMNS}
+        rows_of = 0
+        for row in islice(rows, _BLOCK):
+            for heading, column in COLUMNS.items():
+                found[heading].append(_known(column(row)))
+            for feature, value in given_features(row).items():
+                values = found.setdefault(f"feature {feature}", [])
+                values += [None] * (rows_of - len(values))
+                values.append(_known(value))
+            rows_of += 1
+        if not rows_of and schemas:
             break
-        found = {heading: [_known(column(row)) for row in block] for heading, column in COLUMNS.items()}
-        given = [given_features(row) for row in block]
-        for feature in dict.fromkeys(name for one in given for name in one):
-            found[f"feature {feature}"] = [_known(one.get(feature)) for one in given]
+        for values in found.values():
+            values += [None] * (rows_of - len(values))
         for heading in found:
             units[_name(heading)] = {"unit": _unit(heading), "heading": heading}
         table = pa.table({_name(one): pa.array(values, _type(one)) for one, values in found.items()})
@@ -235,7 +242,7 @@ def _join(folder: Path, schema: Any, file: IO[bytes]) -> None:
 
 
 _BLOCK = 20_000
-"""Rows that are held at once: about 100 MB."""
+"""Rows whose cells are held at once: 100 MB."""
 
 
 def _known(value: Any) -> Any:
