@@ -1,8 +1,8 @@
 """A record of a million rows: how long its table, report and questions take, and how much memory.
 
-``python -m benchmarks million --rows 1000000 --out FOLDER``
+``python -m benchmarks million --rows 1000000 --out FOLDER [--recipe recipes/herring_roe]``
 
-The rows are made: those of a run of the shipped recipe with outlines, over and over, each with an id of its
+The rows are made: those of a run of a shipped recipe, over and over, each with an id of its
 own, scattered numbers, and one in two hundred failed for one of a few reasons. Their images are not there, so
 the report's time is that of the record; its examples say why they have no pictures. Every step is a process
 of its own, which says what it took: s by the clock, s of processor time, MB at most.
@@ -32,13 +32,14 @@ def main() -> None:
     )
     parser.add_argument("--rows", type=int, default=1_000_000)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--recipe", type=Path, default=_RECIPE, help="whose rows are repeated")
     parser.add_argument("--step", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.step:
         _told(asked.step)
         return
     if not (asked.out / "measurements.jsonl").exists():
-        _make(asked.out, asked.rows)
+        _make(asked.recipe, asked.out, asked.rows)
     record = asked.out / "measurements.jsonl"
     print(f"{asked.rows} rows, record of {record.stat().st_size / 1e9:.2f} GB")
     folder, some = str(asked.out), f"p{asked.rows * 2 // 3:07d}"
@@ -68,8 +69,8 @@ def _told(step: list[str]) -> None:
         )
 
 
-def _make(out: Path, count: int) -> None:
-    subprocess.run([sys.executable, "-m", "roemetry", "run", str(_RECIPE), "--out", str(out)], check=True)
+def _make(recipe: Path, out: Path, count: int) -> None:
+    subprocess.run([sys.executable, "-m", "roemetry", "run", str(recipe), "--out", str(out)], check=True)
     record = out / "measurements.jsonl"
     rows = [json.loads(line) for line in record.read_text("utf-8").splitlines()]
     rng = random.Random(1)
@@ -78,7 +79,7 @@ def _make(out: Path, count: int) -> None:
             row, name = rows[number % len(rows)], f"p{number:07d}"
             row |= {"id": f"{name}#1", "acquisition": name, "status": "measured", "absent": {}}
             row["weight"]["mass_g"]["value"] *= rng.gauss(1.0, 0.002)
-            row["volume"]["true_mm3"]["value"] *= rng.gauss(1.0, 0.002)
+            row["volume"]["visible_mm3"]["value"] *= rng.gauss(1.0, 0.002)
             written = row
             if rng.random() < 0.005:
                 why = {"code": rng.choice(_FAULTS), "text": "made to fail"}

@@ -48,8 +48,12 @@ def query(
             asked.register_filesystem(fsspec.filesystem(place.parts[0].rstrip(":")))
         try:
             asked.read_parquet(files, union_by_name=True, hive_partitioning=True).create_view("products")
-            found = asked.sql(sql) if product is None else asked.sql(_ONE, params=[product, product])
-            _show(found, as_csv, upright=product is not None)
+            if product is not None:
+                _show_upright(asked.execute(_ONE, [product, product]))
+            elif as_csv:
+                _write_csv(asked.execute(sql))
+            else:
+                asked.sql(sql).show(max_rows=_ROWS_MAX, max_width=10_000)
         except duckdb.Error as error:
             raise ConfigurationError(
                 f"{folder}: {error}", hint="`describe products` names the columns"
@@ -72,20 +76,21 @@ def _tables(place: Path) -> tuple[Path, str]:
     return place, f"{place}/**/*.parquet"
 
 
-def _show(found: Any, as_csv: bool, *, upright: bool) -> None:
-    if as_csv:
-        writer = csv.writer(sys.stdout, lineterminator="\n")
-        writer.writerow(found.columns)
-        while rows := found.fetchmany(10_000):
-            writer.writerows(rows)
-    elif upright:
-        rows = found.fetchall()
-        if not rows:
-            raise OutputError("there is no such product", hint="an id is that of a row or of an image")
-        for row in rows:
-            for name, value in zip(found.columns, row, strict=True):
-                if value is not None:
-                    typer.echo(f"{name:40} {value}")
-            typer.echo("")
-    else:
-        found.show(max_rows=_ROWS_MAX, max_width=10_000)
+def _write_csv(found: Any) -> None:
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerow(column[0] for column in found.description)
+    while rows := found.fetchmany(10_000):
+        writer.writerows(rows)
+
+
+def _show_upright(found: Any) -> None:
+    """Print each row line by line, without what it does not have."""
+    names = [column[0] for column in found.description]
+    rows = found.fetchall()
+    if not rows:
+        raise OutputError("there is no such product", hint="an id is that of a row or of an image")
+    for row in rows:
+        for name, value in zip(names, row, strict=True):
+            if value is not None:
+                typer.echo(f"{name:40} {value}")
+        typer.echo("")

@@ -33,7 +33,7 @@ _FAR = 4.5
 """Robust standard deviations from the median beyond which a product stands out: of normal ones 7 in 10⁶."""
 _MAD_TO_STD = 1.4826
 
-_HEIGHT, _LEFT, _FLOOR = 190.0, 52.0, 140.0
+_HEIGHT, _LEFT, _FLOOR = 176.0, 52.0, 140.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ class Distributions:
             words=f"median {_told(middle)}, 5 to 95 %: {_told(lower)} to {_told(upper)} {unit}; "
             f"{counted(len(known), 'product')}",
             histogram=_histogram(known, float(low), float(high), name, unit),
-            trend=_trend(values, name, unit),
+            trend=_trend(values, name),
             outliers=tuple((row, _told(value)) for value, row in named),
             outlier_count=int(np.count_nonzero(np.abs(known - middle) > far)),
         )
@@ -182,7 +182,7 @@ def _histogram(known: Floats, low: float, high: float, name: str, unit: str) -> 
     return svg.picture(body, _HEIGHT, f"Histogram of {name}")
 
 
-def _trend(values: Floats, name: str, unit: str) -> Markup:
+def _trend(values: Floats, name: str) -> Markup:
     """Draw the median and the middle 90 % of each part of the run, in its order."""
     parts = [part[np.isfinite(part)] for part in np.array_split(values, min(_PARTS, len(values) // 10))]
     width = len(values) / len(parts)
@@ -198,7 +198,6 @@ def _trend(values: Floats, name: str, unit: str) -> Markup:
         *across.upright(12.0, _FLOOR, "row of the run"),
         svg.shape(around, "", "#2f6f9f33"),
         svg.path("", svg.polyline(np.array(at), middle), fill="none", stroke="#174a70"),
-        svg.text(_LEFT, 9.0, f"{name} {unit}".strip(), "start"),
     ]
     return svg.picture(
         body, _HEIGHT, f"Trend of {name}: median and middle 90 % of {len(parts)} parts of the run"

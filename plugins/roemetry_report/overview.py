@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from itertools import groupby, islice
+from itertools import groupby
 from operator import attrgetter
 from typing import Any
 
@@ -119,8 +119,9 @@ def overview(run: Run, products_max: int, worst_max: int) -> Overview:
     shown = {one.acquisition: one for one in first}
     if long and index > products_max:
         chosen = {one.acquisition: one for of_kind in examples.values() for one in of_kind}
-        shown = dict(islice(chosen.items(), products_max))
-        shown |= dict(islice(((n.acquisition, n) for n in first), products_max - len(shown)))
+        chosen = {one.acquisition: one for one in first} | chosen
+        by_kind = sorted(chosen.values(), key=lambda one: not one.why)
+        shown = {one.acquisition: one for one in by_kind[:products_max]}
     worst = [one for _, _, one in sorted(suspects) if one.acquisition not in shown]
     return Overview(
         total=index,

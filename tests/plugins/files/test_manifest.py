@@ -1,4 +1,4 @@
-"""Images by URL and by manifest: the same rows as from a folder, and one plain row for what is not as listed."""
+"""Images by URL and by manifest: the rows of a folder, and one plain row for what is not as listed."""
 
 from __future__ import annotations
 
