@@ -46,9 +46,8 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory() as folder:
         same = _killed(Path(folder), asked.rows, asked.kills)
-    print(
-        f"{asked.kills} kills of the scheduler, {asked.kills} of the client: record {'same' if same else 'OTHER'}"
-    )
+    found = "the same" if same else "ANOTHER"
+    print(f"{asked.kills} kills of the scheduler, {asked.kills} of the client: {found} record")
     sys.exit(not same)
 
 
@@ -59,6 +58,7 @@ class Sleeps:
         self.seconds = seconds
 
     def __call__(self, number: int) -> int:
+        """Sleep."""
         time.sleep(self.seconds)
         return number
 
