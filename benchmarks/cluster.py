@@ -67,7 +67,7 @@ def _efficiency(workers: int, task_s: float) -> float:
     """Give the throughput, once every worker is at work, over one task in `task_s` for each worker."""
     from distributed import LocalCluster
 
-    count = int(workers * 20.0 / task_s)  # 20 s of work for each
+    count = int(workers * 60.0 / task_s)  # a minute of work for each
     with LocalCluster(
         n_workers=workers, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0"
     ) as made:
