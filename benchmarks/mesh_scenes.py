@@ -37,11 +37,12 @@ class Mesh:
     def __init__(self, body: Body) -> None:
         import open3d as o3d
 
-        self._tensor: Any = o3d.core.Tensor  # its stubs do not know that it takes arrays
+        tensor: Any = o3d.core.Tensor  # its stubs do not know that it takes arrays
+        self._tensor = tensor
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(
-            self._tensor(np.ascontiguousarray(body.points_mm, np.float32)),
-            self._tensor(np.ascontiguousarray(body.faces, np.uint32)),
+            tensor(np.ascontiguousarray(body.points_mm, np.float32)),
+            tensor(np.ascontiguousarray(body.faces, np.uint32)),
         )
 
     def hit(self, origin: Floats, directions: Floats) -> Floats:
