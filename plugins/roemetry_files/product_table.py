@@ -180,6 +180,7 @@ class Parquet(Sink[ParquetOptions]):
     def write(self, run: Run) -> Sequence[Path]:
         """Write the table from the run's measurements."""
         folder = run.folder
+        make_folder(folder)
         if self.options.folder is not None:
             day = str(run.provenance.get("started") or "unknown")[:10]
             folder = path_of(self.options.folder, Path()) / f"day={day}" / f"run={run.folder.resolve().name}"
