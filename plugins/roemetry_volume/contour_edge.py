@@ -189,7 +189,7 @@ def _widely(scene: Scene, ring: Floats) -> Floats:
         fine, coarse, even = (
             cv2.GaussianBlur(level, (0, 0), px / coarser) for px in (_FINE_PX, _COARSE_PX, _EVEN_PX)
         )
-        ring = ring[::coarser]
+        ring = np.ascontiguousarray(ring[::coarser])
         normal = _rounded(normals_of(ring, _NORMAL_REACH), _DIRECTION_ROUND / coarser)
         normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
         off = np.arange(-inwards * scene.spacing_px, outwards * scene.spacing_px, 1.0)
