@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.records import Product, Profiles
+from roemetry.records import Product, Profiles, sight_lines
 from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.image_levels import median_of
@@ -377,12 +377,14 @@ def outline_features(product: Product, sections: Sections) -> dict[str, float]:
     import cv2
 
     ends_mm = np.maximum(sections.height_mm[:, _ENDS], 0.0)
-    x, y = view.at_height(outline.xy_px, float(np.median(ends_mm)))[:, :2].T
+    start, way = sight_lines(view, outline)
+    along = (median_of(ends_mm.ravel()) - start[:, 2]) / way[:, 2]
+    x, y = (start[:, k] + along * way[:, k] for k in (0, 1))
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         return seen
     # OpenCV reckons in float32: about the middle that is enough.
-    about = np.column_stack([x - x.mean(), y - y.mean()])
-    sides = cv2.minAreaRect(about.astype(np.float32))[1]
-    area = 0.5 * abs(float(about[:, 0] @ np.roll(about[:, 1], -1) - about[:, 1] @ np.roll(about[:, 0], -1)))
+    about = np.stack([x - x.mean(), y - y.mean()], axis=1).astype(np.float32)
+    sides = cv2.minAreaRect(about)[1]
+    area = 0.5 * abs(float(x[:-1] @ y[1:] - y[:-1] @ x[1:] + x[-1] * y[0] - y[-1] * x[0]))
     size = {"length_mm": float(max(sides)), "across_mm": float(min(sides)), "footprint_mm2": area}
     return {**size, **seen}

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roemetry.records import Product
+from roemetry.records import Outline, Product, sight_lines
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.view import View
 from roemetry_kernels.compiling import float_kernel, kernel
@@ -164,18 +164,21 @@ def _outermost(seen: Flags, z_mm: Floats, begin: int, stop: int, step: int) -> i
     return first
 
 
-def fuse(product: Product, view: View, contour_px: Floats, start: Start | None = None) -> Fused:
+def fuse(product: Product, view: View, outline: Outline, start: Start | None = None) -> Fused:
     """Solve surface, rim and border together.
 
     Parameters
     ----------
-    product, view, contour_px
-        The product; the rig's geometry; the outline in the image.
+    product, view, outline
+        The product; the rig's geometry; the product's outline.
     start
         The solution of nearly the same product: a round or two from it give what three from nothing give,
         and follow small changes without the jumps of a search that ends sooner or later.
     """
-    silhouette = view.rays(evenly(contour_px, _POINTS))
+    if len(outline.xy_px) == _POINTS:
+        silhouette = sight_lines(view, outline)
+    else:
+        silhouette = view.rays(evenly(outline.xy_px, _POINTS))
     points = points_of(product)
     xyz = points.xyz_mm
     if start is None:

@@ -210,7 +210,8 @@ def _moves(scene: Scene, chain: Chain) -> tuple[Floats, Floats, Floats]:
     mine = stripes.product > 0
     if isinstance(triangulator, Placing):
         some = np.arange(stripes.rows) % _ROWS_APART == 0
-        steps, moves = _moved(np.where(some, stripes.x_px, np.nan), mine & some, calibration, triangulator)
+        x_px = np.where(some, stripes.x_px, np.nan)
+        steps, moves = _moved(x_px, stripes.rest_px, mine & some, calibration, triangulator)
         return steps, np.float64(moves), np.full(moves.shape[1], 1.0 / max(moves.shape[1], 1))
     lattice = _lattice_of(calibration, triangulator)
     stripe, row = np.nonzero(mine)
@@ -238,23 +239,24 @@ def _lattice_of(calibration: Calibration, triangulator: Any) -> _Lattice:
     rows = calibration.image_size[0]
     ends_px = np.outer(calibration.height_range_mm, calibration.displacement_px_per_mm)
     step_px = max(float(np.ptp(ends_px)) / (_PLACES - 1), 1e-3)
-    first_px = calibration.rest_line_px(np.arange(rows)) + ends_px.min()
+    rest_px = calibration.rest_line_px(np.arange(rows))
+    first_px = rest_px + ends_px.min()
     # a map has one place in a row, so that the nodes of a block stand in rows next to each other
     middle = (np.arange(_BLOCKS) + 0.5) * rows / _BLOCKS
     row = np.clip(middle[:, None].astype(np.int64) + np.arange(_PLACES) - _PLACES // 2, 0, rows - 1).ravel()
     x_px = np.full_like(first_px, np.nan)
     x_px[:, row] = first_px[:, row] + step_px * np.tile(np.arange(_PLACES), _BLOCKS)
-    return _Lattice(*_moved(x_px, np.isfinite(x_px), calibration, triangulator), first_px, step_px)
+    return _Lattice(*_moved(x_px, rest_px, np.isfinite(x_px), calibration, triangulator), first_px, step_px)
 
 
 def _moved(
-    x_px: Floats, wanted: Flags, calibration: Calibration, triangulator: Any
+    x_px: Floats, rest_px: Floats, wanted: Flags, calibration: Calibration, triangulator: Any
 ) -> tuple[Floats, NDArray[np.float32]]:
     """Give the calibration's independent steps, and (step, place, 3) by how much each moves wanted places."""
     lit, unknown = np.isfinite(x_px), np.full_like(x_px, np.nan)
     places = StripeMap(
         x_px, unknown, np.where(lit, wanted, NOTHING).astype(np.int16), lit, unknown, np.zeros_like(lit),
-        unknown, np.empty(0, np.int16),
+        rest_px, np.empty(0, np.int16),
     )  # fmt: skip
 
     def points(moved: Calibration) -> Floats:
@@ -468,8 +470,10 @@ def _noise_of_height(product: Product, drawn: Sampler) -> float:
     near = np.flatnonzero((heights + _FAR * std_mm > product.height_max_mm).any(axis=0))
     window = slice(int(near[0]), int(near[-1]) + 1)
     heights, std_mm = heights[:, window], std_mm[:, window]
+    # NaN is no height: fmax passes over it
     highest = [
-        float(np.nanmax(heights + drawn.unit_noise(heights.shape) * std_mm)) for _ in range(_HEIGHT_PATTERNS)
+        float(np.fmax.reduce(heights + drawn.unit_noise(heights.shape) * std_mm, axis=None))
+        for _ in range(_HEIGHT_PATTERNS)
     ]
     return math.hypot(np.std(highest, ddof=1), lift_share(float(np.mean(highest)) - product.height_max_mm))
 
