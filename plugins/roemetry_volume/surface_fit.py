@@ -227,9 +227,7 @@ def axes_of(xy: Floats) -> tuple[Floats, Floats]:
 
 def _knots(points: StripePoints, place: Floats, rim: Rim, contour: Floats) -> Knots:
     return Knots(
-        *dome_knots(
-            points.xyz_mm, place, points.slice, rim.coefficients, rim.scale_mm, rim.upright, contour
-        )
+        *dome_knots(points.xyz_mm, place, points.slice, rim.coefficients, rim.scale_mm, rim.upright, contour)
     )
 
 
@@ -408,8 +406,7 @@ class Knots:
 def means_of_groups(
     s: Floats, v: Floats, u: Floats, slices: Integers
 ) -> tuple[Floats, Floats, Floats, Floats, Integers]:
-    """Give what `Knots` holds of points, slice after slice: each five neighbours' mean, which weighs as much.
-    """
+    """Give what `Knots` holds: the mean of each five neighbours of a slice, which weighs as much as they do."""
     mean, weight, of = np.zeros((3, s.size)), np.zeros(s.size), np.empty(s.size, np.int64)
     group = -1
     for k in range(s.size):

@@ -45,7 +45,7 @@ class Outline(Shown):
 
 @lru_cache(maxsize=8)
 def sight_lines(view: View, outline: Outline) -> tuple[Floats, Floats]:
-    """Give the lines of sight through an outline's points, as `View.rays` does; several stages ask for them."""
+    """Give the lines of sight through an outline's points, as `View.rays` does: several stages ask."""
     return view.rays(outline.xy_px)
 
 

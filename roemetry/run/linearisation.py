@@ -203,8 +203,8 @@ def _modes(scene: Scene, chain: Chain) -> tuple[Floats, float]:
 def _moves(scene: Scene, chain: Chain) -> tuple[Floats, Floats, Floats]:
     """Give (step, parameter) the calibration's independent steps, and how the products move with them.
 
-    That is (step, node, 3) mm, and (node,) the share of the products' points at each. In a frame a point moves
-    as the nearest node of a lattice does, which is the same for all frames; the lines of a scan are its own.
+    That is (step, node, 3) mm, and (node,) the share of the products' points at each. In a frame a point
+    moves as the nearest node of a lattice, which is the same for all frames; a scan's lines are its own.
     """
     stripes, calibration, triangulator = scene.stripes, scene.calibration, chain.triangulator
     mine = stripes.product > 0

@@ -171,8 +171,6 @@ def _all_differ(lines: NDArray[Any]) -> bool:
 
 def check_joins(frame: Frame) -> None:
     """Refuse an image of one channel that is joined of two; DataError with the place of the join."""
-    import cv2
-
     some = frame.pixels[::_SAMPLED, ::_SAMPLED].ravel()
     brightest = 99 * some.size // 100
     bright = float(np.partition(some, brightest)[brightest])
