@@ -311,7 +311,7 @@ def _lean(sections: Sections) -> dict[str, float]:
 def _lean_weights(part: tuple[float, float]) -> Floats:
     """(sample,) what gives, of heights, the mean slope to one side over part of the half width."""
     weights = np.where((np.abs(EVEN) > part[0]) & (np.abs(EVEN) < part[1]), 1.0, 0.0)
-    return weights / np.where(weights > 0.0, EVEN, 1.0) / weights.sum()
+    return np.asarray(weights / np.where(weights > 0.0, EVEN, 1.0) / weights.sum())
 
 
 _LEANS = np.stack([_lean_weights(part) for part in (_INNER, _SHOULDER)])
@@ -371,8 +371,8 @@ def depth_reached(depth: Floats, area_mm2: Floats, patch_mm2: float) -> float:
     for k in range(most):
         total += area[k]
         if total >= patch_mm2:
-            return deepest[k]
-    return deepest[most - 1]
+            return float(deepest[k])
+    return float(deepest[most - 1])
 
 
 def _pits(sections: Sections) -> dict[str, float]:

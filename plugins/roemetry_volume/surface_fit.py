@@ -406,7 +406,7 @@ class Knots:
 def means_of_groups(
     s: Floats, v: Floats, u: Floats, slices: Integers
 ) -> tuple[Floats, Floats, Floats, Floats, Integers]:
-    """Give what `Knots` holds: the mean of each five neighbours of a slice, which weighs as much as they do."""
+    """Give what `Knots` holds: the mean of each five neighbours of a slice, which weighs as much."""
     mean, weight, of = np.zeros((3, s.size)), np.zeros(s.size), np.empty(s.size, np.int64)
     group = -1
     for k in range(s.size):

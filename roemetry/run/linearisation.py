@@ -212,14 +212,14 @@ def _moves(scene: Scene, chain: Chain) -> tuple[Floats, Floats, Floats]:
         some = np.arange(stripes.rows) % _ROWS_APART == 0
         x_px = np.where(some, stripes.x_px, np.nan)
         steps, moves = _moved(x_px, stripes.rest_px, mine & some, calibration, triangulator)
-        return steps, np.float64(moves), np.full(moves.shape[1], 1.0 / max(moves.shape[1], 1))
+        return steps, moves.astype(np.float64), np.full(moves.shape[1], 1.0 / max(moves.shape[1], 1))
     lattice = _lattice_of(calibration, triangulator)
     stripe, row = np.nonzero(mine)
     along = np.rint((stripes.x_px[mine] - lattice.first_px[stripe, row]) / lattice.step_px)
     node = (stripe * _BLOCKS + row * _BLOCKS // stripes.rows) * _PLACES
     many = np.bincount(node + np.clip(along, 0, _PLACES - 1).astype(np.int64))
     held = np.flatnonzero(many)
-    return lattice.steps, np.float64(lattice.moves_mm[:, held]), many[held] / max(many.sum(), 1)
+    return lattice.steps, lattice.moves_mm[:, held].astype(np.float64), many[held] / max(many.sum(), 1)
 
 
 class _Lattice(NamedTuple):
@@ -239,7 +239,7 @@ def _lattice_of(calibration: Calibration, triangulator: Any) -> _Lattice:
     rows = calibration.image_size[0]
     ends_px = np.outer(calibration.height_range_mm, calibration.displacement_px_per_mm)
     step_px = max(float(np.ptp(ends_px)) / (_PLACES - 1), 1e-3)
-    rest_px = calibration.rest_line_px(np.arange(rows))
+    rest_px = calibration.rest_line_px(np.arange(rows, dtype=np.float64))
     first_px = rest_px + ends_px.min()
     # a map has one place in a row, so that the nodes of a block stand in rows next to each other
     middle = (np.arange(_BLOCKS) + 0.5) * rows / _BLOCKS
