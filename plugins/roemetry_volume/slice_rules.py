@@ -32,7 +32,7 @@ WAIST = 0.35
 """A slice under that share of some on both sides of it is a waist."""
 
 _BEYOND = 1.15
-"""A taper that would reach so many times the way to the next stripe, which shows belt, is believed by half."""
+"""A taper that would reach so many times the way to the next stripe, which shows belt, is half believed."""
 _SURE = 16
 """How fast that belief falls: from 0.9 at 1.0 of the way to 0.1 at 1.3. A step would make volume and interval
 jump with the noise."""
@@ -133,7 +133,7 @@ def _by_areas(slices: Slices, end: int, within: float, ends: Ends) -> Cap:
 
 
 def _mixed(one: Cap, other: Cap, trust: float) -> Cap:
-    """Give the mean of two caps of which the first is right with a probability, and its standard deviation."""
+    """Give the mean of two caps, the first of which is right with some probability, and its uncertainty."""
     rest, apart = 1.0 - trust, one.volume_mm3 + one.shadow_mm3 - other.volume_mm3 - other.shadow_mm3
     return Cap(
         trust * one.volume_mm3 + rest * other.volume_mm3,

@@ -136,7 +136,13 @@ def check_lines(laser: Frame) -> None:
 def _repeated(lines: NDArray[Any]) -> int | None:
     """Give the first of the lines that repeat others; None of none."""
     sampled = np.ascontiguousarray(lines[:, ::_SAMPLED]).reshape(len(lines), -1)
-    if _all_differ(sampled):
+    words = _words(sampled)
+    first = words[:, 0]
+    if ((first == words[:, -1]) & (first == words[:, words.shape[1] // 2])).any():
+        filled = _filled(lines, (words == words[:, :1]).all(axis=1))
+        if filled is not None:
+            return filled
+    if _all_differ(words):
         return None
     size, content = sampled[0].nbytes, sampled.tobytes()
     last: dict[bytes, int] = {}
@@ -152,18 +158,33 @@ def _repeated(lines: NDArray[Any]) -> int | None:
         last[one], lag_before = line, lag
     if not repeated:
         return None
-    level = [line for line in repeated if (lines[line] == lines[line].flat[0]).all()]
-    if len(last) < _NOISY_SHARE * (len(lines) - len(level)):
+    one_grey = [line for line in repeated if (lines[line] == lines[line].flat[0]).all()]
+    if len(last) < _NOISY_SHARE * (len(lines) - len(one_grey)):
         return None
-    usual = lines[[line for line in last.values() if line not in level]]
-    clipped = bool(level) and float((usual == lines[level[0]].flat[0]).mean()) > _CLIPPED_SHARE
-    return None if clipped and len(level) == len(repeated) else repeated[0]
+    usual = lines[[line for line in last.values() if line not in one_grey]]
+    clipped = bool(one_grey) and float((usual == lines[one_grey[0]].flat[0]).mean()) > _CLIPPED_SHARE
+    return None if clipped and len(one_grey) == len(repeated) else repeated[0]
 
 
-def _all_differ(lines: NDArray[Any]) -> bool:
-    """Say for certain that no two lines are alike, by sums of their bytes; False tells nothing."""
-    of_bytes = lines.view(np.uint8)
-    words = np.ascontiguousarray(of_bytes[:, : of_bytes.shape[1] // 8 * 8]).view(np.uint64)
+def _filled(lines: NDArray[Any], level: NDArray[np.bool_]) -> int | None:
+    """Give the first line of one dark level beside a line with light in it: no light ends within a pixel.
+
+    `level` says which lines may be of one level. Where the sensor clips darkness by itself, none is told.
+    """
+    other = lines[~level]
+    for line in np.flatnonzero(level):
+        beside = [k for k in (line - 1, line + 1) if 0 <= k < len(lines) and not level[k]]
+        grey = lines[line].flat[0]
+        if not beside or (lines[line] != grey).any() or (other < grey).any():
+            continue
+        lit = max(int(lines[k].max()) for k in beside) - int(grey) >= _STEP_SHARE * int(other.max())
+        if lit and float((other == grey).mean()) <= _CLIPPED_SHARE:
+            return int(line)
+    return None
+
+
+def _all_differ(words: NDArray[np.uint64]) -> bool:
+    """Say for certain that no two lines are alike, by sums of their words; False tells nothing."""
     sums = words @ (_ODD ** np.arange(1, words.shape[1] + 1, dtype=np.uint64))
     sums.sort()
     return bool((sums[1:] != sums[:-1]).all())
