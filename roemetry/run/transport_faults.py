@@ -1,7 +1,7 @@
 """Faults of sensor and transport in one frame: lines that no sensor gives, and parts of another frame.
 
 Lines. A sensor's noise makes every row and every column another one; so lines of one content are a fault of
-the transport, and other lines have been lost.
+the transport, and other lines have been lost. So is a line of one dark level beside one with light in it.
 
 Joins. A lens blurs: from one pixel to the next, light changes by a part of what it changes by over six. Where
 it changes by all of that at once, at many places along one boundary between two rows or two columns and
