@@ -135,7 +135,12 @@ class Dataset:
         path = self.folder / item.stripes
         try:
             with np.load(path) as kept:
-                fields = ("x_px", "on_product", "xyz_mm", *(("product",) if "product" in kept else ()))
+                fields = (
+                    "x_px",
+                    "on_product",
+                    "xyz_mm",
+                    *(one for one in ("product", "y_px") if one in kept),
+                )
                 stripes = StripeTruth(**{name: kept[name] for name in fields})
         except (OSError, KeyError, ValueError) as error:
             raise DataError(f"{path}: not the truth of stripes: {error}") from error
@@ -234,6 +239,7 @@ def save_stripes(path: Path, stripes: StripeTruth) -> None:
         on_product=stripes.on_product,
         product=stripes.product,
         xyz_mm=stripes.xyz_mm.astype(np.float32),
+        **({"y_px": stripes.y_px.astype(np.float32)} if stripes.y_px.size else {}),
     )
     save_bytes(path, buffer.getvalue())
 
