@@ -7,8 +7,8 @@ the seven numbers; its inverse information is their covariance, and the Cramér�
 speckle. Speckle is alike in neighbouring pixels, which says less than independent pixels would: the covariance
 becomes N⁻¹(JᵀWΣWJ)N⁻¹, with Σ of pixels that correlate by ρ at distance 1.
 
-s comes from the dark of the image, g from the camera (or from the residuals), C and ρ from the residuals of all
-dots. A clipped pixel says nothing and is left out. What is no dot (two that have merged, one that an edge has
+s comes from the dark of the image, g from the camera (if it is not known, C counts it), C and ρ from the residuals
+of some dots. A clipped pixel says nothing and is left out. What is no dot (two that have merged, one that an edge has
 cut) fits worse than noise allows; its covariance grows by as much, and beyond a limit it is flagged `WIDE`.
 
 It fails where dots are nearer than three of their widths: they are flagged, or found as one.
@@ -45,8 +45,12 @@ _ROUNDS = 12
 """Steps of Fisher scoring at most: from a start within a pixel six settle."""
 _SETTLED_PX = 1e-4
 """A step squares the error: the one that follows is the last."""
-_BRIGHT = 0.3
-"""Of a dot's height, from which on a pixel tells of gain and speckle."""
+_SAMPLE = 24
+"""Dots that tell of the speckle: each has some ten grains."""
+_CORRELATIONS = np.array([0.0, 0.3, 0.5, 0.65, 0.75])
+"""Of neighbouring pixels' speckle, that are tried."""
+_ALIKE = 3
+"""Pixels over which speckle is alike."""
 _WIDTHS = (0.5, 2.0)
 """Of the dots' usual size, that one can be: a sphere's flank at 75° draws its dot out to the double."""
 _MISFIT_MAX = 3.0
@@ -126,10 +130,12 @@ def fitted_dots(image: Floats, white: float, starts: Floats, noise: float, gain:
     values, *_ = _fit(image, white, values, radius, given, _ROUNDS)
     size = np.sqrt(np.nanmedian(values[:, 4] + values[:, 6]) / 2.0)
     radius = _radii(values[:, :2], float(size) if math.isfinite(size) else 1.5)
-    for _ in range(2):
-        *_, sums = _fit(image, white, values, radius, given, _ROUNDS)
-        given[1:] = _noise_of(sums, gain)
-    return Fit(*_fit(image, white, values, radius, given, _ROUNDS)[:4])
+    values, _, misfit, clipped = _fit(image, white, values, radius, given, _ROUNDS)
+    told = np.flatnonzero(np.isfinite(misfit) & ~clipped)
+    if told.size:
+        told = told[np.unique(np.linspace(0, told.size - 1, _SAMPLE).astype(np.int64))]
+        given[2:] = _speckle(image, values[told], radius[told], given)
+    return Fit(*_fit(image, white, values, radius, given, _ROUNDS))
 
 
 def _radii(xy: Floats, size_px: float) -> Integers:
@@ -143,19 +149,48 @@ def _radii(xy: Floats, size_px: float) -> Integers:
     return np.clip(np.rint(radius), *_RADIUS_PX).astype(np.int64)
 
 
-def _noise_of(sums: Floats, gain: float) -> Floats:
-    """Give gain, squared contrast of the speckle and its correlation from one pixel to the next."""
-    total, by_light, light2, light3, light4, next_to = sums.tolist()
-    if light2 <= 0.0:
-        return np.array([0.0 if math.isnan(gain) else gain, 0.0, 0.0])
-    if math.isnan(gain):
-        both = np.linalg.lstsq(
-            np.array([[light2, light3], [light3, light4]]), np.array([total, by_light]), rcond=None
-        )[0]
-        gain = max(float(both[0]), 0.0)
-    contrast2 = max((by_light - gain * light3) / light4, 0.0)
-    correlation = next_to / (contrast2 * light4) if contrast2 * light4 > 0.0 else 0.0
-    return np.array([gain, contrast2, min(max(correlation, 0.0), 0.9)])
+def _speckle(image: Floats, values: Floats, radius: Integers, given: Floats) -> tuple[float, float]:
+    """Give squared contrast of the speckle and its correlation from one pixel to the next.
+
+    With A = 1 − J N⁻¹ JᵀW the residuals' covariance is AΣAᵀ: the fit takes away more of speckle that is alike in
+    neighbours than of white noise. So squares and products of neighbours' residuals are compared with what is
+    expected of noise alone, and of speckle of each correlation.
+    """
+    seen, dark = np.zeros(2), np.zeros(2)
+    alike = np.zeros((_CORRELATIONS.size, 2))
+    for p, r in zip(values, radius.tolist(), strict=True):
+        x0, y0 = int(np.rint(p[0])), int(np.rint(p[1]))
+        y, x = np.mgrid[max(y0 - r, 0) : y0 + r + 1, max(x0 - r, 0) : x0 + r + 1]
+        inside = ((x - x0) ** 2 + (y - y0) ** 2 <= r * r) & (y < image.shape[0]) & (x < image.shape[1])
+        x, y = x[inside], y[inside]
+        u, v = x - p[0], y - p[1]
+        shape = np.linalg.inv(np.array([[p[4], p[5]], [p[5], p[6]]]))
+        tu, tv = shape[0, 0] * u + shape[0, 1] * v, shape[1, 0] * u + shape[1, 1] * v
+        form = np.exp(-0.5 * (u * tu + v * tv))
+        m = p[2] * form
+        slope = np.column_stack(
+            [m * tu, m * tv, form, 1.0 + 0.0 * m, 0.5 * m * tu**2, m * tu * tv, 0.5 * m * tv**2]
+        )
+        variance = given[0] + given[1] * m
+        weighted = slope / variance[:, None]
+        left = np.eye(m.size) - slope @ np.linalg.solve(slope.T @ weighted, weighted.T)
+        off = image[y, x] - p[3] - m
+        light = m / p[2]
+        square = light**2
+        apart = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
+        beside = np.where(apart == 1, light[:, None] * light, 0.0)
+        seen += square @ off**2, off @ beside @ off
+        for into, sigma in (
+            (dark, np.diag(variance)),
+            *zip(alike, m[:, None] * m * _CORRELATIONS[:, None, None] ** apart, strict=True),
+        ):
+            made = left @ sigma @ left.T
+            into += square @ np.diag(made), (beside * made).sum()
+    over = seen - dark
+    if over[0] <= 0.0:
+        return 0.0, 0.0
+    best = int(np.abs(over[1] / over[0] - alike[:, 1] / alike[:, 0]).argmin())
+    return float(over[0] / alike[best, 0]), float(_CORRELATIONS[best])
 
 
 def _peaks(fit: Fit, frame: Frame, width_max_px: float) -> Peaks:
@@ -218,10 +253,9 @@ def _start(image: Floats, values: Floats, radius: Integers) -> None:
 @kernel
 def _fit(
     image: Floats, white: float, values: Floats, radius: Integers, given: Floats, rounds: int
-) -> tuple[Floats, Floats, Floats, Flags, Floats]:
+) -> tuple[Floats, Floats, Floats, Flags]:
     """Fisher scoring of each dot; `given` are s², g, C² and the speckle's correlation at distance 1."""
     count = values.shape[0]
-    sums = np.zeros(6)
     found = values.copy()
     covariance = np.full((count, 2, 2), np.nan)
     misfit = np.full(count, np.nan)
@@ -302,69 +336,38 @@ def _fit(
             misfit[i] = np.nan
             continue
         inverse = np.linalg.inv(normal)
-        _add_residuals(sums, light, weight, off, slope, inverse, x1 - x0, p[2], given)
         if given[2] > 0.0 and given[3] > 0.0:
-            inverse = inverse @ (normal + _shared(light, weight, slope, x1 - x0, given)) @ inverse
+            shared = _shared(light, weight, slope, inverse, x1 - x0, given)
+            inverse[:2, :2] += shared
         found[i] = p
         for a in range(2):
             for b in range(2):
                 covariance[i, a, b] = inverse[a, b]
-    return found, covariance, misfit, clipped, sums
+    return found, covariance, misfit, clipped
 
 
 @kernel
-def _add_residuals(
-    sums: Floats, light: Floats, weight: Floats, off: Floats, slope: Floats, inverse: Floats, across: int,
-    height: float, given: Floats,
-) -> None:  # fmt: skip
-    """Add d m, d m², m², m³, m⁴ and e e′ m m′ of a dot's brighter pixels, d = e²/(1 − h) − s² and h the leverage.
-
-    e′ and m′ are those of the pixel to the right.
-    """
-    last = 0.0
-    last_m = 0.0
-    last_k = -2
-    for k in range(light.size):
-        m = light[k]
-        if weight[k] == 0.0 or m < _BRIGHT * height:
-            continue
-        h = 0.0
-        for a in range(7):
-            for b in range(7):
-                h += slope[k, a] * inverse[a, b] * slope[k, b]
-        free = 1.0 - weight[k] * h
-        if free < 0.1:
-            continue
-        d = off[k] * off[k] / free - given[0]
-        sums[0] += d * m
-        sums[1] += d * m * m
-        sums[2] += m * m
-        sums[3] += m**3
-        sums[4] += m**4
-        e = off[k] / math.sqrt(free)
-        if last_k == k - 1 and k % across > 0:
-            sums[5] += e * last * m * last_m
-        last, last_m, last_k = e, m, k
-
-
-@kernel
-def _shared(light: Floats, weight: Floats, slope: Floats, across: int, given: Floats) -> Floats:
-    """What speckle that neighbouring pixels share adds to JᵀWΣWJ: ρ^(Δ²), of pixels up to two apart."""
-    added = np.zeros((7, 7))
+def _shared(
+    light: Floats, weight: Floats, slope: Floats, inverse: Floats, across: int, given: Floats
+) -> Floats:
+    """What speckle that neighbouring pixels share, ρ^(Δ²), adds to the covariance of x and y."""
+    added = np.zeros((2, 2))
     down = light.size // across
+    pull = np.zeros((light.size, 2))  # how a pixel moves the centre, times its light
+    for k in range(light.size):
+        for a in range(2):
+            for b in range(7):
+                pull[k, a] += inverse[a, b] * slope[k, b] * weight[k] * light[k]
     for y in range(down):
         for x in range(across):
             k = y * across + x
-            if weight[k] == 0.0:
-                continue
-            for v in range(max(y - 2, 0), min(y + 3, down)):
-                for u in range(max(x - 2, 0), min(x + 3, across)):
+            for v in range(max(y - _ALIKE, 0), min(y + _ALIKE + 1, down)):
+                for u in range(max(x - _ALIKE, 0), min(x + _ALIKE + 1, across)):
                     n = v * across + u
-                    if n == k or weight[n] == 0.0:
+                    if n == k:
                         continue
-                    apart = (u - x) ** 2 + (v - y) ** 2
-                    share = given[2] * light[k] * light[n] * given[3] ** apart * weight[k] * weight[n]
-                    for a in range(7):
-                        for b in range(7):
-                            added[a, b] += share * slope[k, a] * slope[n, b]
+                    share = given[2] * given[3] ** ((u - x) ** 2 + (v - y) ** 2)
+                    for a in range(2):
+                        for b in range(2):
+                            added[a, b] += share * pull[k, a] * pull[n, b]
     return added
