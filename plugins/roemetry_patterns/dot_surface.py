@@ -88,7 +88,9 @@ class DotSurface(VolumeEstimator[StageOptions]):
             moved = _krige(wider, best.rim_mm, best.reach, best.size).volume_mm3(wider.nodes(best.rim_mm))
             budget[OUTLINE] = abs(moved - volume) * scene.outline_std_px
         else:
-            budget["footprint"] = float(scene.length_mm() * np.median(scene.xyz_mm[:, 2]) * 0.25 * scene.spacing_mm)
+            budget["footprint"] = float(
+                scene.length_mm() * np.median(scene.xyz_mm[:, 2]) * 0.25 * scene.spacing_mm
+            )
         volume += _model_error(budget, rng)
         std = math.sqrt(sum(part**2 for part in budget.values()))
         near = _near(scene, nodes)
@@ -157,7 +159,9 @@ class _Scene:
 
     def offset(self, by_px: float) -> _Scene:
         """Give the scene with a larger outline."""
-        return replace(self, start_mm=self.start_mm + by_px * np.column_stack([self.outwards_mm, 0.0 * self.way[:, 0]]))
+        return replace(
+            self, start_mm=self.start_mm + by_px * np.column_stack([self.outwards_mm, 0.0 * self.way[:, 0]])
+        )
 
     def length_mm(self) -> float:
         """Length of the border."""
@@ -279,9 +283,9 @@ class _Prior:
     def covariance(self, one: Floats, other: Floats) -> Floats:
         """Give (n, m) between places."""
         a, b = self._powers(one), self._powers(other)
-        apart = np.sqrt(
-            np.maximum(((one[:, None] - other[None]) ** 2).sum(axis=2), 0.0)
-        ) * (math.sqrt(5.0) / self.reach_mm)
+        apart = np.sqrt(np.maximum(((one[:, None] - other[None]) ** 2).sum(axis=2), 0.0)) * (
+            math.sqrt(5.0) / self.reach_mm
+        )
         matern = (1.0 + apart + apart**2 / 3.0) * np.exp(-apart)
         return np.asarray(self.trend_std**2 * (a @ b.T) + self.std**2 * matern)
 
