@@ -179,7 +179,8 @@ def products(seed: int, count: int, folder: Path) -> dict[str, str]:
         right, wrong, missed, total, strays = dots.tolist()
         labels.append(
             [
-                family, f"{right / max(total, 1):.2%}", f"{wrong} of {right + wrong}", str(strays), f"{missed}",
+                family, f"{right / max(total, 1):.2%}", f"{wrong} of {right + wrong}", str(strays),
+                f"{missed}",
                 f"{1e3 * np.median(np.abs(error)):.0f} µm", f"{1e3 * np.sqrt((error**2).mean()):.0f} µm",
             ]
         )  # fmt: skip
@@ -193,17 +194,18 @@ def products(seed: int, count: int, folder: Path) -> dict[str, str]:
         )  # fmt: skip
     return {
         "labels": table(
-            ["product", "right", "wrong", "false light labelled", "no label", "height error, median", "rms"], labels
+            ["product", "right", "wrong", "false light labelled", "no label", "height error, median", "rms"],
+            labels,
         ),
         "volumes": table(
-            ["product", "measured", "mean error", "mean absolute", "largest", "intervals that hold", "median width",
+            ["product", "measured", "mean error", "mean absolute", "largest", "hold", "median width",
              "processor time"], volumes,
         ),
     }  # fmt: skip
 
 
 def _judged(label: Any, peaks: Any, truth: StripeTruth) -> Any:
-    """Count dots on products: right, wrong, without a label, all; and false light that got a label anywhere."""
+    """Count dots on products: right, wrong, without a label, all; and false light that got a label."""
     stripe, row = np.nonzero(np.isfinite(truth.x_px))
     places = np.column_stack([truth.x_px[stripe, row], truth.y_px[stripe, row]])
     found = np.column_stack([peaks.x_px, peaks.dots.y_px])

@@ -29,5 +29,5 @@ def roemetry_stages() -> Iterable[StageEntry]:
         name="dot-surface",
         target="roemetry_patterns.dot_surface:DotSurface",
         summary="A surface through scattered points and the outline, by kriging, with its own uncertainty",
-        reference="Matheron (1963), Principles of geostatistics; the square of the height over the rim is ours",
+        reference="Matheron (1963), Principles of geostatistics; the rim is ours",
     )

@@ -1,15 +1,16 @@
 """Maximum likelihood of each dot's centre, height and shape under the camera's noise and the laser's speckle.
 
 Model. Around a dot the light is b + a·exp(−½ rᵀ S⁻¹ r), r from the centre, S any positive definite shape: a
-round beam on a slope is an ellipse. A pixel's variance is v = s² + g·m + C²·m², with m the dot's own light, s
-what pixels beside dots scatter by, g the camera's gain and C the contrast of the speckle. Fisher scoring finds
-the seven numbers; its inverse information is their covariance, and the Cramér–Rao bound where there is no
-speckle. Speckle is alike in neighbouring pixels, which says less than independent pixels would: the covariance
-becomes N⁻¹(JᵀWΣWJ)N⁻¹, with Σ of pixels that correlate by ρ at distance 1.
+round beam on a slope is an ellipse. A pixel's variance is v = s² + g·m + C²·m², with m the dot's own light,
+s what pixels beside dots scatter by, g the camera's gain and C the contrast of the speckle. Fisher scoring
+finds the seven numbers; its inverse information is their covariance, and the Cramér–Rao bound where there
+is no speckle. Speckle is alike in neighbouring pixels, which says less than independent pixels would: the
+covariance becomes N⁻¹(JᵀWΣWJ)N⁻¹, with Σ of pixels that correlate by ρ at distance 1.
 
-s comes from the dark of the image, g from the camera (if it is not known, C counts it), C and ρ from the residuals
-of some dots. A clipped pixel says nothing and is left out. What is no dot (two that have merged, one that an edge has
-cut) fits worse than noise allows; its covariance grows by as much, and beyond a limit it is flagged `WIDE`.
+s comes from the dark of the image, g from the camera (if it is not known, C counts it), C and ρ from the
+residuals of some dots. A clipped pixel says nothing and is left out. What is no dot (two that have merged,
+one that an edge has cut) fits worse than noise allows; its covariance grows by as much, and beyond a limit
+it is flagged `WIDE`.
 
 It fails where dots are nearer than three of their widths: they are flagged, or found as one.
 Source: Fisher scoring as in Rao (1973), Linear Statistical Inference, 5g; the use of speckle is ours.
@@ -152,9 +153,9 @@ def _radii(xy: Floats, size_px: float) -> Integers:
 def _speckle(image: Floats, values: Floats, radius: Integers, given: Floats) -> tuple[float, float]:
     """Give squared contrast of the speckle and its correlation from one pixel to the next.
 
-    With A = 1 − J N⁻¹ JᵀW the residuals' covariance is AΣAᵀ: the fit takes away more of speckle that is alike in
-    neighbours than of white noise. So squares and products of neighbours' residuals are compared with what is
-    expected of noise alone, and of speckle of each correlation.
+    With A = 1 − J N⁻¹ JᵀW the residuals' covariance is AΣAᵀ: the fit takes away more of speckle that is alike
+    in neighbours than of white noise. So squares and products of neighbours' residuals are compared with what
+    is expected of noise alone, and of speckle of each correlation.
     """
     seen, dark = np.zeros(2), np.zeros(2)
     alike = np.zeros((_CORRELATIONS.size, 2))

@@ -1,11 +1,12 @@
 """Visible volume from scattered points and the outline, by kriging.
 
-Model. A body that is seen from above bulges to its rim, where it stands upright: the square of the height over
-the rim, u = (Z − r)·|Z − r|, is smooth there, and of an ellipsoid it is a quadratic. So u is a quadratic in X and Y
-plus a Gaussian process (Matérn 5/2), observed at the dots, and 0 along the outline, which the camera sees at the
-rim's height. Rim height, reach and size of the process are those that make the points likeliest (Rasmussen and
-Williams 2006, chapters 2 and 5). The volume is the integral of r + √u over the footprint; its uncertainty comes
-from fields drawn from the process as the points leave it, from the rims that are likely, and from the outline.
+Model. A body that is seen from above bulges to its rim, where it stands upright: the square of the height
+over the rim, u = (Z − r)·|Z − r|, is smooth there, and of an ellipsoid it is a quadratic. So u is a
+quadratic in X and Y plus a Gaussian process (Matérn 5/2), observed at the dots, and 0 along the outline,
+which the camera sees at the rim's height. Rim height, reach and size of the process are those that make the
+points likeliest (Rasmussen and Williams 2006, chapters 2 and 5). The volume is the integral of r + √u over
+the footprint; its uncertainty comes from fields drawn from the process as the points leave it, from the
+rims that are likely, and from the outline.
 
 Without an outline the footprint is the points' convex hull, half a spacing larger, and there is no rim.
 

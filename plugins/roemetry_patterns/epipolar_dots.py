@@ -1,15 +1,16 @@
 """Which ray made each dot: by its epipolar line, and where two rays may have, by its neighbours.
 
-Model. Each ray is seen along a short curve, from the belt up to the greatest height. A dot whose image lies on it,
-by the dot's own covariance, is a candidate, with the height that the ray has there. A pattern whose columns lean
-keeps these curves apart, and most dots have one candidate. Where there are more, the neighbours of the ray in the
-pattern decide: surfaces are continuous, so heights of neighbouring rays differ by no more than their distance
-times a steep slope, and a candidate costs its misfit and, for each neighbour, the least that any of the
-neighbour's candidates costs beside it (min-sum on the pattern's graph; Kschischang, Frey, Loeliger 2001).
+Model. Each ray is seen along a short curve, from the belt up to the greatest height. A dot whose image lies
+on it, by the dot's own covariance, is a candidate, with the height that the ray has there. A pattern whose
+columns lean keeps these curves apart, and most dots have one candidate. Where there are more, the
+neighbours of the ray in the pattern decide: surfaces are continuous, so heights of neighbouring rays differ
+by no more than their distance times a steep slope, and a candidate costs its misfit and, for each
+neighbour, the least that any of the neighbour's candidates costs beside it (min-sum on the pattern's graph;
+Kschischang, Frey, Loeliger 2001).
 
-A label is given where the next best one, of the dot or of the ray, costs more by what makes it improbable; else
-the dot is ambiguous. If too few dots lie on any ray, or too few rays are seen, the pattern is not the calibrated
-one, and the frame is refused.
+A label is given where the next best one costs more by what makes it improbable; else the dot is ambiguous.
+If too few dots lie on any ray, or too few rays are seen, the pattern is not the calibrated one, and the
+frame is refused.
 
 It fails where false light falls onto the curve of a ray whose own dot is hidden: its height is then any.
 """
@@ -106,6 +107,8 @@ class Candidates(NamedTuple):
     """(n,) stripe · lines + line."""
     xyz_mm: Floats
     """(n, 3) where the dot would be."""
+    foot_mm: Floats
+    """(n, 2) where the ray meets the belt."""
     misfit: Floats
     """(n,) standard deviations off the ray's curve."""
     x_std_px: Floats
@@ -134,22 +137,30 @@ def candidates(
     with np.errstate(divide="ignore", invalid="ignore"):
         x_std = met.z_std_mm / np.abs(met.z_by_px[:, 0])
     place = at_height(flat[ray], met.z_mm)
-    return Candidates(dot[good], ray[good], place[good], met.misfit[good], x_std[good], met.z_std_mm[good])
+    return Candidates(
+        dot[good],
+        ray[good],
+        place[good],
+        flat[ray[good], :2],
+        met.misfit[good],
+        x_std[good],
+        met.z_std_mm[good],
+    )
 
 
 def _refuse_other_pattern(found: Candidates, dots: int, lines: Floats) -> None:
     columns, count = lines.shape[:2]
     known = int(np.isfinite(lines[..., 0]).sum())
-    on_ray, seen = np.unique(found.dot).size, np.unique(found.ray).size
+    on_ray = np.unique(found.dot).size
     said = f"the calibration knows {columns} columns of {count} dots"
     if dots and on_ray < _ON_RAY_MIN * dots:
         raise StageError(
             f"{on_ray} of {dots} dots lie where a ray of the calibration can be seen: {said}",
             hint="another pattern, columns and lines exchanged, an image that is turned, or a rig that has moved?",
         )
-    if seen < _SEEN_MIN * known:
+    if on_ray < _SEEN_MIN * known:
         raise StageError(
-            f"dots of {seen} of {known} rays are seen: {said}",
+            f"{on_ray} dots are seen on {known} rays: {said}",
             hint="are dots missing, too faint, or saturated? See the extractor's options",
         )
 
@@ -159,7 +170,6 @@ def decided(found: Candidates, shape: tuple[int, int]) -> tuple[Floats, Flags]:
 
     `shape` is that of the pattern: columns and lines.
     """
-    count = found.dot.size
     partner, step = _neighbours(found, shape)
     own = found.misfit**2
     cost = own.copy()
@@ -171,13 +181,15 @@ def decided(found: Candidates, shape: tuple[int, int]) -> tuple[Floats, Flags]:
             cost += np.where(other >= 0, np.minimum(apart + beside[other], _BROKEN), _BROKEN).min(
                 axis=1, initial=_BROKEN
             )
-    of_dot, of_ray = _second(cost, found.dot), _second(cost, found.ray)
-    evidence = np.minimum(of_dot, of_ray) - cost
-    return evidence, (evidence > 0.0) if count else np.zeros(0, np.bool_)
+    evidence = _second(cost, found.dot) - cost
+    best = np.flatnonzero(evidence > 0.0)
+    # of two dots that want the same ray, one is wrong
+    evidence[best] = np.minimum(evidence[best], _second(cost[best], found.ray[best]) - cost[best])
+    return evidence, evidence > 0.0
 
 
 def _neighbours(found: Candidates, shape: tuple[int, int]) -> tuple[list[Integers], list[Floats]]:
-    """Give, for each of four directions, (n, k) candidates of the neighbouring ray, −1 of none, and their cost."""
+    """Give, for each of four directions, (n, k) candidates of the neighbouring ray, −1 of none, and costs."""
     columns, lines = shape
     of_ray: list[list[int]] = [[] for _ in range(columns * lines)]
     for number, ray in enumerate(found.ray.tolist()):
@@ -193,12 +205,13 @@ def _neighbours(found: Candidates, shape: tuple[int, int]) -> tuple[list[Integer
             (stripe + right >= 0) & (stripe + right < columns) & (line + down >= 0) & (line + down < lines)
         )
         other = table[np.where(inside, (stripe + right) * lines + line + down, columns * lines)]
-        way = found.xyz_mm[other] - found.xyz_mm[:, None] if other.size else np.empty((*other.shape, 3))
-        level = np.hypot(way[..., 0], way[..., 1])
+        # along the surface: from ray to ray at the same height, for the point itself moves with its height
+        apart = np.linalg.norm(found.foot_mm[other] - found.foot_mm[:, None], axis=2)
+        rise = found.xyz_mm[other, 2] - found.xyz_mm[:, None, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
-            cost = (way[..., 2] / (_STEEP * np.maximum(level, 1e-6))) ** 2
+            cost = (rise / (_STEEP * np.maximum(apart, 1e-6))) ** 2
         # one dot cannot be both
-        cost = np.where(found.dot[other] == found.dot[:, None], _BROKEN, cost) if other.size else cost
+        cost = np.where(found.dot[other] == found.dot[:, None], _BROKEN, cost)
         partners.append(other)
         costs.append(cost)
     return partners, costs
@@ -214,6 +227,8 @@ def _second(cost: Floats, of: Integers) -> Floats:
     """Give the least cost among the others of the same group; without others, that of no label at all."""
     order = np.lexsort((cost, of))
     group, value = of[order], cost[order]
+    if not group.size:
+        return cost
     first = np.ones(group.size, np.bool_)
     first[1:] = group[1:] != group[:-1]
     start = np.maximum.accumulate(np.where(first, np.arange(group.size), 0))

@@ -29,7 +29,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
         name="pinhole-dots",
         target="roemetry_pinhole.dot_calibrator:PinholeDotsCalibrator",
         summary="Camera, lens, a ray of light for each dot, and belt from a board in many poses",
-        reference="As pinhole-plane; rays eliminated as Triggs et al. (2000), section 6, has it; numbering is ours",
+        reference="As pinhole-plane; rays eliminated as in Triggs et al. (2000); numbering is ours",
     )
     yield StageEntry(
         kind="triangulator",

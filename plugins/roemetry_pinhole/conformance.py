@@ -173,7 +173,7 @@ def _peaks(rig: LinearRig, crossings: Floats) -> Peaks:
 
 
 def dots_of(rig: DotRig) -> Calibration:
-    """Give the calibration of a rig with dots: a pinhole camera so far away that perspective does not show."""
+    """Give the calibration of a rig with dots: a pinhole camera that is so far away as that of lines."""
     from roemetry.testing.dots import exact_rays
     from roemetry_pinhole.dot_rays import METHOD as DOTS
     from roemetry_pinhole.dot_rays import view_of as dots_view_of
@@ -198,7 +198,7 @@ def dots_of(rig: DotRig) -> Calibration:
 
 @lru_cache(maxsize=4)
 def dots_observed_of(rig: DotRig) -> CalibrationSet:
-    """Give images of a chessboard in many poses under a matrix of dots that scatter a little, and the belt."""
+    """Give a chessboard in many poses under a matrix of dots that scatter a little, and the belt."""
     start, way = _in_camera(rig)
     level = np.array([0.0, 0.0, 1.0]) / _NEAR_MM
     observations = [Observation("belt", _dark(rig, "belt"), _met(rig, start, way, level, None))]

@@ -118,7 +118,7 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
             residuals=_figures(found, points, view, made.lines),
             target={"kind": observed.board.kind, "name": observed.board.name, "poses": len(first.views)},
             extractor=dict(observed.extractor),
-            notes=tuple([*seen.notes, *(f"not used: {name}: {why}" for name, why in left_out)]),
+            notes=(*seen.notes, *(f"not used: {name}: {why}" for name, why in left_out)),
             view=view,
             rays=made,
         )
@@ -176,8 +176,8 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
             )
         if found.factor > _FACTOR_MAX:
             raise CalibrationError(
-                f"dots on boards scatter {found.factor:.1f} times as much about their rays as their images say",
-                hint="is the board flat and its pitch right? Did projector or camera move between the images?",
+                f"dots on boards scatter {found.factor:.1f} times as much about their rays as they should",
+                hint="is the board flat, its pitch right? Did projector or camera move between the images?",
             )
 
 

@@ -1,14 +1,15 @@
 """Which dot is which, on the empty belt and on boards, before anything is known of the projector.
 
-On the belt the whole matrix is seen: its dots are followed from neighbour to neighbour, columns from left to
-right and dots in a column from the top, and must be as many as the pattern has. On boards parts of it are seen,
-displaced. If light comes from one point, the right numbering of one board's dots makes all lines from the belt's
-dot to the board's meet in that point, and seen from it the dots of all other boards lie on dots of the belt, too.
-A numbering that is off by a column makes lines meet as well, if the board is level, but in a point from which
-boards at other heights do not fit. So every offset of every board is tried, and its point is judged by all.
+On the belt the whole matrix is seen: its dots are followed from neighbour to neighbour, columns from left
+to right and dots in a column from the top, and must be as many as the pattern has. On boards parts of it
+are seen, displaced. If light comes from one point, the right numbering of one board's dots makes all lines
+from the belt's dot to the board's meet in that point, and seen from it the dots of all other boards lie on
+dots of the belt, too. A numbering that is off by a column makes lines meet as well, if the board is level,
+but in a point from which boards at other heights do not fit. So every offset of every board is tried, and
+judged by all.
 
-It fails where boards are all at one height (refused: two numberings fit alike), and where the matrix is turned by
-more than 45° in the image.
+It fails where boards are all at one height (refused: two numberings fit alike), and where the matrix is
+turned by more than 45° in the image.
 """
 
 from __future__ import annotations
@@ -96,8 +97,8 @@ def on_belt(xy_px: Floats, columns: int, lines: int, name: str) -> Integers:
     expected = f"the pattern has {columns} columns of {lines} dots"
     if (across, down) == (lines, columns) and lines != columns:
         raise CalibrationError(
-            f"{name}: {across} columns of {down} dots are seen, {expected}: are columns and lines swapped, or the "
-            "image turned?",
+            f"{name}: {across} columns of {down} dots are seen, {expected}: are columns and lines swapped, or "
+            "the image turned?",
             hint="columns run down the image: exchange `stripes` and `lines`, or set turn_deg",
         )
     if (across, down) != (columns, lines) or len(seen) < _FULL * columns * lines:
@@ -144,7 +145,7 @@ def numbered_on_boards(
         high = at.max(axis=0)
         for right in range(-high[0], count[0]):
             for down in range(-high[1], count[1]):
-                moved = at + [right, down]
+                moved = at + np.array([right, down])
                 inside = ((moved >= 0) & (moved < count)).all(axis=1)
                 if inside.sum() < max(_PAIRS_MIN, len(at) // 2):
                     continue
@@ -159,8 +160,8 @@ def numbered_on_boards(
     if not points or shares.max() < _FITS:
         best = f"{shares.max():.0%}" if len(shares) else "none"
         raise CalibrationError(
-            f"the dots on the boards are not those on the empty belt: from no place of the projector do they lie "
-            f"on dots of the belt (at best {best} of them)",
+            "the dots on the boards are not those on the empty belt: from no place of the projector do they "
+            f"lie on dots of the belt (at best {best} of them)",
             hint="did projector or camera move between the images? Does all light come from one projector?",
         )
     best_point = points[int(shares.argmax())]
@@ -178,7 +179,7 @@ def numbered_on_boards(
 
 
 def _meeting(belt_mm: Floats, board_mm: Floats) -> Floats | None:
-    """Give the point in which lines from belt to board meet above both, by least squares; None if they do not."""
+    """Give the point in which lines from belt to board meet above both; None if they do not."""
     way = board_mm - belt_mm
     length = np.linalg.norm(way, axis=1)
     some = length > 1e-3

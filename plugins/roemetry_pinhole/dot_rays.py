@@ -1,17 +1,17 @@
 """Rays of a matrix of dots, and triangulation by them.
 
-A dot on a board in a known pose is a point of its ray; a line through the points of many boards is the ray. The
-marks of the boards and all dots are adjusted together: with u what marks tell (camera, poses, belt; covariance C
-from their own adjustment) and r a ray's four numbers, the squares of the dots' residuals over their covariance
-and of u's step over C are made smallest by Gauss and Newton's method. Each ray depends on u alone, so it is
-eliminated (Schur's complement; Triggs, McLauchlan, Hartley and Fitzgibbon 2000, section 6).
+A dot on a board in a known pose is a point of its ray; a line through the points of many boards is the ray.
+The marks of the boards and all dots are adjusted together: with u what marks tell (camera, poses, belt;
+covariance C from their own adjustment) and r a ray's four numbers, the squares of the dots' residuals over
+their covariance and of u's step over C are made smallest by Gauss and Newton's method. Each ray depends on
+u alone, so it is eliminated (Triggs, McLauchlan, Hartley and Fitzgibbon 2000, section 6).
 
-What rays err by together is kept as what it depends on: the camera and the belt, and a few directions of the
-rest (poses that all rays were found on). What is left is each ray's own. So a matrix of 400 dots needs some
-twenty parameters with a covariance, not 1,600.
+What rays err by together is kept as what it depends on: the camera and the belt, and a few directions of
+the rest (poses that all rays were found on). What is left is each ray's own. So a matrix of 400 dots needs
+some twenty parameters with a covariance, not 1,600.
 
-In triangulation the point is the place on the dot's ray whose image lies nearest the dot, by the covariances of
-dot and ray (`roemetry.records.light`).
+In triangulation the point is the place on the dot's ray whose image lies nearest the dot, by the
+covariances of dot and ray (`roemetry.records.light`).
 """
 
 from __future__ import annotations

@@ -12,21 +12,21 @@ from roemetry.records.calibration import Calibration
 from roemetry.records.light import at_height
 from roemetry.testing.scenes import SEED, LinearRig
 
-_TURN = np.radians(10.0)  # keeps the ways of neighbouring dots apart
+_TURN = np.radians(14.0)  # keeps the ways of neighbouring dots apart
 
 
 @dataclass(frozen=True, slots=True)
 class DotRig(LinearRig):
     """The linear rig with a matrix of dots: `stripes` columns of `lines`, of light that comes from a point.
 
-    Heights and places are (stripe, line, …); columns count from the left, dots in a column from the image's top.
+    Heights and places are (stripe, line, …); columns count from the left, dots in a column from the top.
     """
 
-    stripes: int = 11
-    lines: int = 9
-    pitch_mm: float = 4.5
+    stripes: int = 15
+    lines: int = 11
+    pitch_mm: float = 3.6
     """Distance of neighbouring dots on the belt."""
-    projector_mm: tuple[float, float, float] = (150.0, 8.0, 300.0)
+    projector_mm: tuple[float, float, float] = (200.0, 4.0, 400.0)
 
     def rays(self) -> Floats:
         """(stripe, line, 4) the rays, as `Rays` holds them."""

@@ -51,7 +51,7 @@ def check_dark_gives_no_dot(extractor: Extractor[Any]) -> None:
 
 
 def check_saturated_dots_are_flagged(extractor: Extractor[Any]) -> None:
-    """A dot at the white level is flagged `SATURATED` and right within `saturated_tolerance_px`; others not."""
+    """A dot at the white level is flagged `SATURATED`, and right within `saturated_tolerance_px`."""
     rig = DotRig()
     places = rig.places_px(rig.level()).reshape(-1, 2)
     bright = np.arange(len(places)) % 5 == 0
@@ -66,11 +66,11 @@ def check_saturated_dots_are_flagged(extractor: Extractor[Any]) -> None:
 
 
 def check_merged_dots_are_no_sound_dot(extractor: Extractor[Any]) -> None:
-    """Two dots 4 px apart are found as two, or what is found is flagged `WIDE`: no dot between them is given."""
+    """Two dots 4 px apart are found as two or flagged `WIDE`: no sound dot between them is given."""
     rig = DotRig()
     places = rig.places_px(rig.level()).reshape(-1, 2)
     first = places[len(places) // 2]
-    both = np.concatenate([places, [first + [4.0, 0.0]]])
+    both = np.concatenate([places, [first + np.array([4.0, 0.0])]])
     peaks = extractor.extract(frame_of(rig.spots(both)))
     here = np.abs(peaks.x_px - first[0] - 2.0) < 5.0
     here &= np.abs(_y(peaks) - first[1]) < _NEAR_PX
@@ -192,7 +192,7 @@ def check_other_dots_are_refused(triangulator: Triangulator[Any]) -> None:
 
 
 def check_rays_come_back(calibrator: Calibrator[Any]) -> None:
-    """Heights by the rays that are found are those of the rig to 0.1 mm, up to 12 mm; its file gives them again."""
+    """Heights by the rays found are the rig's to 0.1 mm, up to 12 mm; the file gives them again."""
     import tempfile
     from pathlib import Path
 
@@ -222,7 +222,7 @@ def check_a_wrong_number_of_dots_is_refused(calibrator: Calibrator[Any]) -> None
     """Another number of columns than is seen, and no image at all, are refused by a `CalibrationError`."""
     observed = calibration_set_for(calibrator, DotRig())
     for what, other in (
-        ("nine columns where eleven are seen", replace(observed, stripe_count=9)),
+        ("nine columns where fifteen are seen", replace(observed, stripe_count=9)),
         ("a set without observations", replace(observed, observations=())),
     ):
         with refused(what, CalibrationError):
