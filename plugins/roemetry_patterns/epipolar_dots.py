@@ -82,7 +82,7 @@ class EpipolarDots(Coder[EpipolarDotsOptions]):
         Raises
         ------
         StageError
-            There is no calibration with rays, peaks are of lines, or the dots are not the calibrated pattern's.
+            There is no calibration with rays, peaks are of lines, or the dots are another pattern's.
         """
         if calibration is None or calibration.rays is None or calibration.view is None:
             raise StageError("the calibration has no rays of dots", hint="calibrate with pinhole-dots")
@@ -156,7 +156,7 @@ def _refuse_other_pattern(found: Candidates, dots: int, lines: Floats) -> None:
     if dots and on_ray < _ON_RAY_MIN * dots:
         raise StageError(
             f"{on_ray} of {dots} dots lie where a ray of the calibration can be seen: {said}",
-            hint="another pattern, columns and lines exchanged, an image that is turned, or a rig that has moved?",
+            hint="another pattern, columns and lines exchanged, a turned image, or a rig that has moved?",
         )
     if on_ray < _SEEN_MIN * known:
         raise StageError(

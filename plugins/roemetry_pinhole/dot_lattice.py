@@ -40,7 +40,7 @@ _SAME_MM = 20.0
 
 
 def followed(xy_px: Floats) -> Integers:
-    """Give (n, 2) column and line of dots (n, 2), from 0 for the first of what hangs together; −1 of others."""
+    """Give (n, 2) column and line of dots (n, 2), from 0; −1 of what does not hang together with the rest."""
     from scipy.spatial import cKDTree
 
     found = np.full((len(xy_px), 2), -1)
@@ -97,14 +97,14 @@ def on_belt(xy_px: Floats, columns: int, lines: int, name: str) -> Integers:
     expected = f"the pattern has {columns} columns of {lines} dots"
     if (across, down) == (lines, columns) and lines != columns:
         raise CalibrationError(
-            f"{name}: {across} columns of {down} dots are seen, {expected}: are columns and lines swapped, or "
-            "the image turned?",
+            f"{name}: {across} columns of {down} dots are seen, {expected}: are columns and lines "
+            "swapped, or is the image turned?",
             hint="columns run down the image: exchange `stripes` and `lines`, or set turn_deg",
         )
     if (across, down) != (columns, lines) or len(seen) < _FULL * columns * lines:
         raise CalibrationError(
             f"{name}: {len(seen)} dots in {across} columns of {down} are seen, {expected}",
-            hint="is this the right pattern? Is the belt empty, all of the pattern in view, and no dot saturated "
+            hint="is this the right pattern? Is the belt empty, all of the pattern in view, no dot saturated "
             "or too faint for the extractor?",
         )
     return at
