@@ -207,7 +207,7 @@ def dots_observed_of(rig: DotRig) -> CalibrationSet:
         lies = number == _POSES
         if lies:
             half = 0.5 * _BOARD.pitch_mm * np.array([_BOARD.columns, _BOARD.rows, 0.0])
-            rotation, shift = np.eye(3), np.array([0.0, 0.0, _NEAR_MM]) - half
+            rotation, shift = np.eye(3), np.array([0.0, 0.0, _NEAR_MM - _BOARD.thickness_mm]) - half
         shows, name = "board_on_belt" if lies else "board", f"pose {number}"
         image = _image(rig, rotation, shift)
         plain = Frame(image, role="plain", name=f"{name} plain")
@@ -235,8 +235,6 @@ def _met(rig: DotRig, start: Floats, way: Floats, plane: Floats, pose: tuple[Flo
     places = at[:, :2] / at[:, 2:] * focal + [rig.middle_column, rig.middle_row]
     if pose is not None:
         on = (at - pose[1]) @ pose[0][:, :2] / _BOARD.pitch_mm
-        # away from the edges of squares, where a dot would lie on uneven print
-        even = (np.abs(on - np.rint(on)) > 0.3).all(axis=1)
-        even &= ((on > 0.02) & (on < [_BOARD.columns - 0.02, _BOARD.rows - 0.02])).all(axis=1)
-        places = np.where(even[:, None], places, np.nan)
+        inside = ((on > 0.02) & (on < [_BOARD.columns - 0.02, _BOARD.rows - 0.02])).all(axis=1)
+        places = np.where(inside[:, None], places, np.nan)
     return rig.dots(places, _SCATTER_PX)

@@ -45,7 +45,7 @@ class PinholeDotsOptions(StageOptions):
     """The pattern, and what is looked for."""
 
     lines: int = Field(
-        default=15, ge=2, le=200, description="dots in each column; columns are the rig's stripes"
+        default=11, ge=2, le=200, description="dots in each column; columns are the rig's stripes"
     )
     lens: Literal["none", "radial", "brown", "rational"] = Field(
         default="brown",
@@ -131,41 +131,46 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
         poses, xy, covariance, parts = [], [], [], []
         for one in belts:
             use = np.flatnonzero((one.peaks.flags & (EDGE | WIDE | SATURATED)) == 0)
-            parts.append((ON_BELT, one.peaks, use, one.frame.name))
+            parts.append((ON_BELT, one.peaks, use, np.ones(use.size, np.bool_), one.frame.name))
         for number, view in enumerate(first.views):
             if view.laser is None:
                 continue
             peaks = view.laser.peaks
             use = (peaks.flags & (EDGE | WIDE | SATURATED)) == 0
+            # dots on edges of the print are followed, for the others hang together by them, and not measured
+            even = np.ones(len(peaks), np.bool_)
             if view.plain is not None:
-                use &= on_even_print(peaks, view.plain.frame, self.options.print_contrast_max)
+                even = on_even_print(peaks, view.plain.frame, self.options.print_contrast_max)
             ray = rays(first.camera, _places(peaks))
             place = on_board(ray[:, :2], first.rotation[number], first.shift[number])
             margin = view.board.margin_mm
             use &= ((place > -margin) & (place < view.board.size_mm + margin)).all(axis=1)
-            parts.append((number, peaks, np.flatnonzero(use), view.laser.frame.name))
+            parts.append((number, peaks, np.flatnonzero(use), even[use], view.laser.frame.name))
         to_belt = belt_pose(belt)
         in_belt_frame = []
-        for pose, peaks, use, _ in parts:
+        for pose, peaks, use, *_ in parts:
             ray = rays(first.camera, _places(peaks)[use])
             normal = first.rotation[pose][:, 2]
             surface = belt if pose == ON_BELT else normal / (normal @ first.shift[pose])
             place = ray / (ray @ surface)[:, None]
             in_belt_frame.append(place @ to_belt[:3, :3].T + to_belt[:3, 3])
-        _, peaks, use, name = parts[0]
+        _, peaks, use, _, name = parts[0]
         at = on_belt(_places(peaks)[use], columns, self.options.lines, name)
         on = at[:, 0] >= 0
         numbers, _ = numbered_on_boards(
-            in_belt_frame[0][on], at[on], in_belt_frame[1:], [_places(p)[u] for _, p, u, _ in parts[1:]]
+            in_belt_frame[0][on], at[on], in_belt_frame[1:], [_places(p)[u] for _, p, u, *_ in parts[1:]]
         )
-        for (pose, peaks, use, _), mine in zip(parts, [at, *numbers], strict=True):
-            some = mine[:, 0] >= 0
+        ray_of = []
+        for (pose, peaks, use, even, _), mine in zip(parts, [at, *numbers], strict=True):
+            some = (mine[:, 0] >= 0) & even
             poses.append(np.full(some.sum(), pose))
             xy.append(_places(peaks)[use][some])
             assert peaks.dots is not None
             covariance.append(peaks.dots.covariance_px2[use][some] + _ADDED_STD_PX**2 * np.eye(2))
-        ray_of = np.concatenate([m[m[:, 0] >= 0] @ [self.options.lines, 1] for m in [at, *numbers]])
-        return DotPoints(np.concatenate(poses), ray_of, np.concatenate(xy), np.concatenate(covariance))
+            ray_of.append(mine[some] @ np.array([self.options.lines, 1]))
+        return DotPoints(
+            np.concatenate(poses), np.concatenate(ray_of), np.concatenate(xy), np.concatenate(covariance)
+        )
 
     def _check(self, found: FoundRays, points: DotPoints) -> None:
         missing = int(np.isnan(found.lines[:, 0]).sum())

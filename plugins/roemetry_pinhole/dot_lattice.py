@@ -35,8 +35,8 @@ _PAIRS_MIN = 20
 """Dots of a board by which an offset is tried."""
 _MEET_MM = 1.0
 """Lines that pass their common point by more than this do not meet."""
-_SAME_MM = 20.0
-"""Points nearer than this are the same."""
+_OTHER_NUMBERS = 0.1
+"""Share of the dots that another point numbers otherwise, from which on it is another numbering."""
 
 
 def followed(xy_px: Floats) -> Integers:
@@ -165,8 +165,12 @@ def numbered_on_boards(
             hint="did projector or camera move between the images? Does all light come from one projector?",
         )
     best_point = points[int(shares.argmax())]
-    apart = np.linalg.norm(np.array(points) - best_point, axis=1) > _SAME_MM
-    if (shares[apart] > _OTHER * shares.max()).any():
+    best = to_lattice.of(best_point, everywhere)
+    for point in (points[n] for n in np.flatnonzero(shares > _OTHER * shares.max())):
+        other = to_lattice.of(point, everywhere)
+        both = best[1] & other[1]
+        if both.any() and (best[0][both] != other[0][both]).any(axis=1).mean() < _OTHER_NUMBERS:
+            continue
         raise CalibrationError(
             "the dots on the boards can be numbered in two ways",
             hint="take boards at more different heights, and tilted",

@@ -335,7 +335,7 @@ def _dot_maps(stage: Triangulator[Any]) -> Three:
 
 
 def _dot_observations(stage: Calibrator[Any]) -> Three:
-    one, other = (calibration_set_for(stage, rig) for rig in (DotRig(), DotRig(pitch_mm=3.7)))
+    one, other = (calibration_set_for(stage, rig) for rig in (DotRig(), DotRig(pitch_mm=2.9)))
     return (one,), (other,), (replace(one, observations=()),)
 
 

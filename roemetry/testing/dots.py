@@ -24,7 +24,7 @@ class DotRig(LinearRig):
 
     stripes: int = 15
     lines: int = 11
-    pitch_mm: float = 3.6
+    pitch_mm: float = 3.0
     """Distance of neighbouring dots on the belt."""
     projector_mm: tuple[float, float, float] = (200.0, 4.0, 400.0)
 

@@ -181,11 +181,11 @@ def check_other_dots_are_refused(triangulator: Triangulator[Any]) -> None:
     """Lines, another number of columns and another image are refused by a `StageError`."""
     rig = DotRig()
     calibration, seen = calibration_for(triangulator, rig), rig.dot_map(rig.hill())
-    few, small = DotRig(stripes=7), DotRig(rows=190)
+    few, small = DotRig(stripes=7), DotRig(rows=210)
     for what, other in (
         ("lines", replace(seen, dots=None)),
         ("seven columns", few.dot_map(few.hill())),
-        ("190 rows", small.dot_map(small.hill())),
+        ("210 rows", small.dot_map(small.hill())),
     ):
         with refused(what, StageError):
             triangulator.triangulate(other, calibration)
