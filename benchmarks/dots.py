@@ -128,7 +128,7 @@ def rendered(family: str, seed: int, number: int, folder: Path) -> Rendered:
     path = folder / f"{family}-{seed}-{number}.npz"
     if not path.exists():
         sets = [f"simulator.options.product={{family: {family}}}"]
-        made = Scene.load(RECIPE, sets=sets).make().simulate(number, seed)
+        made = Scene.load(RECIPE / "simulated.yaml", sets=sets).make().simulate(number, seed)
         frames = {frame.role: frame.pixels for frame in made.frames}
         truth = made.truth.stripes
         assert truth is not None

@@ -124,8 +124,10 @@ def candidates(
     flat = lines.reshape(-1, 4)
     xy = np.column_stack([peaks.x_px, peaks.dots.y_px])
     ends = np.stack([view.project(at_height(flat, z)) for z in np.linspace(*reach_mm, 5)])
-    near = _OFF_MAX * (_MODEL_PX + float(np.nanmax(peaks.x_std_px[usable], initial=0.0)))
-    least, most = np.nanmin(ends, axis=0) - near, np.nanmax(ends, axis=0) + near
+    near = _OFF_MAX * (_MODEL_PX + float(np.nan_to_num(peaks.x_std_px[usable]).max(initial=0.0)))
+    # a ray that is not known has no curve
+    least = np.where(np.isnan(ends), np.inf, ends).min(axis=0) - near
+    most = np.where(np.isnan(ends), -np.inf, ends).max(axis=0) + near
     at = xy[usable, None]
     pairs = np.argwhere(((at > least) & (at < most)).all(axis=2))
     dot, ray = usable[pairs[:, 0]], pairs[:, 1]

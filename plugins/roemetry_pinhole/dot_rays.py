@@ -145,6 +145,8 @@ def rays_of(found: FoundRays, unknowns: Unknowns, stripes: int) -> tuple[Rays, d
     by_parameter = np.zeros((len(found.lines), 4, at.size + _SHARED))
     by_parameter[:, :, : at.size][:, :, at >= 0] = found.by_unknown @ gain
     by_parameter[:, :, at.size :] = by_shared
+    # the file is three quarters of it: more digits than seven say nothing of a derivative
+    by_parameter = np.array([float(f"{one:.7g}") for one in by_parameter.ravel()]).reshape(by_parameter.shape)
     covariance = np.eye(at.size + _SHARED)
     covariance[: at.size, : at.size] = 0.0
     covariance[np.ix_(np.flatnonzero(at >= 0), np.flatnonzero(at >= 0))] = known
