@@ -316,7 +316,9 @@ def _krige(scene: _Scene, rim_mm: float, reach: float = _REACHES[1], size: float
     std = max(size * float(np.sqrt((left**2).mean())), 1e-3 * spread, 1e-6)
     prior = replace(flat, std=std, reach_mm=reach * math.sqrt(abs(_area(contour))))
     covariance = prior.covariance(place, place) + np.diag(noise**2 + (1e-3 * std) ** 2)
-    factor = np.linalg.cholesky(covariance + 1e-10 * np.diag(np.diag(covariance)))
+    factor: Floats = np.asarray(
+        np.linalg.cholesky(covariance + 1e-10 * np.diag(np.diag(covariance))), np.float64
+    )
     half_way = solve_triangular(factor, value, lower=True)
     solved = solve_triangular(factor.T, half_way, lower=False)
     # of Z, not of u, the likelihood is compared over rims

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roemetry.records import Board, CalibrationSet, Frame, Observation, Peaks
-from roemetry.records.arrays import Floats
+from roemetry.records.arrays import Flags, Floats
 from roemetry.records.calibration import Calibration
 from roemetry_pinhole.geometry import (
     turned,
@@ -235,6 +235,6 @@ def _met(rig: DotRig, start: Floats, way: Floats, plane: Floats, pose: tuple[Flo
     places = at[:, :2] / at[:, 2:] * focal + [rig.middle_column, rig.middle_row]
     if pose is not None:
         on = (at - pose[1]) @ pose[0][:, :2] / _BOARD.pitch_mm
-        inside = ((on > 0.02) & (on < [_BOARD.columns - 0.02, _BOARD.rows - 0.02])).all(axis=1)
+        inside: Flags = ((on > 0.02) & (on < [_BOARD.columns - 0.02, _BOARD.rows - 0.02])).all(axis=1)
         places = np.where(inside[:, None], places, np.nan)
     return rig.dots(places, _SCATTER_PX)

@@ -158,10 +158,10 @@ def numbered_on_boards(
     to_lattice = _Lattice(belt_mm, belt_at)
     shares = np.array([_share(to_lattice, point, everywhere) for point in points])
     if not points or shares.max() < _FITS:
-        best = f"{shares.max():.0%}" if len(shares) else "none"
+        most = f"{shares.max():.0%}" if len(shares) else "none"
         raise CalibrationError(
             "the dots on the boards are not those on the empty belt: from no place of the projector do they "
-            f"lie on dots of the belt (at best {best} of them)",
+            f"lie on dots of the belt (at best {most} of them)",
             hint="did projector or camera move between the images? Does all light come from one projector?",
         )
     best_point = points[int(shares.argmax())]

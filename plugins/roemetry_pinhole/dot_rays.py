@@ -102,7 +102,7 @@ def adjusted_rays(marks: Adjusted, points: DotPoints, count: int) -> FoundRays:
                 hint="hold the board under all of the pattern, in ten poses and more",
             )
         lines = _lines_through(geometry, points, used, count)
-        weight = np.linalg.inv(points.covariance_px2)
+        weight: Floats = np.asarray(np.linalg.inv(points.covariance_px2), np.float64)
         for _ in range(2):
             residual, by_ray = _by_ray(geometry, lines, points)
             lines = lines + _eliminated(by_ray, weight, residual, points.ray, used, count)[0]
@@ -325,7 +325,7 @@ def _lines_through(geometry: Geometry, points: DotPoints, used: Flags, count: in
     place, ray = places_of(geometry, points)[used], points.ray[used]
 
     def summed(values: Floats) -> Floats:
-        return np.bincount(ray, values, minlength=count)
+        return np.asarray(np.bincount(ray, values, minlength=count), np.float64)
 
     x, y, z = place.T
     n, sz, szz = summed(np.ones_like(z)), summed(z), summed(z * z)

@@ -232,15 +232,16 @@ class DatasetWriter:
 
 def save_stripes(path: Path, stripes: StripeTruth) -> None:
     """Write the truth of stripes, compressed, in float32 (a ten-thousandth of a pixel at 1,000 px)."""
+    kept: dict[str, Any] = {
+        "x_px": stripes.x_px.astype(np.float32),
+        "on_product": stripes.on_product,
+        "product": stripes.product,
+        "xyz_mm": stripes.xyz_mm.astype(np.float32),
+    }
+    if stripes.y_px.size:
+        kept["y_px"] = stripes.y_px.astype(np.float32)
     buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        x_px=stripes.x_px.astype(np.float32),
-        on_product=stripes.on_product,
-        product=stripes.product,
-        xyz_mm=stripes.xyz_mm.astype(np.float32),
-        **({"y_px": stripes.y_px.astype(np.float32)} if stripes.y_px.size else {}),
-    )
+    np.savez_compressed(buffer, **kept)
     save_bytes(path, buffer.getvalue())
 
 
