@@ -155,10 +155,7 @@ def products(seed: int, count: int, folder: Path) -> dict[str, str]:
         refused = 0
         for number in range(count):
             item = rendered(family, seed, number, folder)
-            frames = tuple(
-                Frame(pixels, role=role, name="item")
-                for role, pixels in (("laser", item.laser), ("plain", item.plain))
-            )
+            frames = (Frame(item.laser, name="item"), Frame(item.plain, role="plain", name="item"))
             begin = time.process_time()
             trace = pipeline.trace(Acquisition(f"{family}_{number}", frames))
             seconds.append(time.process_time() - begin)

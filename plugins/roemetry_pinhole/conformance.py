@@ -235,6 +235,8 @@ def _met(rig: DotRig, start: Floats, way: Floats, plane: Floats, pose: tuple[Flo
     places = at[:, :2] / at[:, 2:] * focal + [rig.middle_column, rig.middle_row]
     if pose is not None:
         on = (at - pose[1]) @ pose[0][:, :2] / _BOARD.pitch_mm
-        inside: Flags = ((on > 0.02) & (on < [_BOARD.columns - 0.02, _BOARD.rows - 0.02])).all(axis=1)
+        inside: Flags = np.asarray(
+            ((on > 0.02) & (on < [_BOARD.columns - 0.02, _BOARD.rows - 0.02])).all(axis=1)
+        )
         places = np.where(inside[:, None], places, np.nan)
     return rig.dots(places, _SCATTER_PX)

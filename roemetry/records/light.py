@@ -129,7 +129,7 @@ def meet(
     ray_covariance
         (n, 4, 4) of the rays' own errors; None: they are exact.
     """
-    unknown: Flags = ~np.isfinite(covariance_px2).all(axis=(1, 2))
+    unknown: Flags = np.asarray(~np.isfinite(covariance_px2).all(axis=(1, 2)))
     noise = np.where(unknown[:, None, None], np.eye(2), covariance_px2)
     z = _nearest(view, lines, xy_px)
     for _ in range(_ROUNDS):
