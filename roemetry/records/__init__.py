@@ -2,6 +2,7 @@
 
 from roemetry.records.acquisition import Acquisition, AcquisitionReference, Frame, Role, ScanLines, Sensor
 from roemetry.records.calibration import Alignment
+from roemetry.records.light import Dots, Rays
 from roemetry.records.measurement import Coding, Measurement, Status
 from roemetry.records.observations import (
     Block,
