@@ -79,7 +79,7 @@ def _cell(value: Cell | None) -> Cell:
     return rounded(value) if isinstance(value, float) else value
 
 
-_FORMULA = ("=", "+", "-", "@", "\t")
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 def rounded(value: float) -> float:

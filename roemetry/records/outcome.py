@@ -89,9 +89,10 @@ class Estimate:
         parts = {"std": self.std, **self.budget}
         bad = [f"{name} {part}" for name, part in parts.items() if part < 0.0 or math.isinf(part)]
         check.require(not bad, f"uncertainties must be 0 or more, or NaN: {', '.join(bad)}")
-        check.require(
-            not self.interval[0] > self.interval[1], f"the interval {self.interval} ends before it begins"
-        )
+        low, high = self.interval
+        check.require(not low > high, f"the interval {self.interval} ends before it begins")
+        outside = self.value < low or self.value > high
+        check.require(not outside, f"the value {self.value} lies outside its interval {self.interval}")
         check.finish()
 
 
