@@ -32,7 +32,7 @@ def check_dots_are_right(extractor: Extractor[Any]) -> None:
 
 
 def check_brightness_of_dots_does_not_matter(extractor: Extractor[Any]) -> None:
-    """An image 1.3 times as bright, or of 12 bit, gives as many dots, and sound ones to 0.02 px where they were."""
+    """An image 1.3 times as bright, or of 12 bit, gives as many dots, sound ones within 0.02 px of before."""
     rig = DotRig()
     light = rig.spots(rig.places_px(rig.hill()), 120.0)
     one = extractor.extract(frame_of(light))
