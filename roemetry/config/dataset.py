@@ -134,13 +134,9 @@ class Dataset:
             return Truth(item.products)
         path = self.folder / item.stripes
         try:
-            with np.load(path) as kept:
-                fields = (
-                    "x_px",
-                    "on_product",
-                    "xyz_mm",
-                    *(one for one in ("product", "y_px") if one in kept),
-                )
+            with path.open("rb") as file, np.load(file) as kept:
+                optional = (one for one in ("product", "y_px") if one in kept)
+                fields = ("x_px", "on_product", "xyz_mm", *optional)
                 stripes = StripeTruth(**{name: kept[name] for name in fields})
         except (OSError, KeyError, ValueError) as error:
             raise DataError(f"{path}: not the truth of stripes: {error}") from error
