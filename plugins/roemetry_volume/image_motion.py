@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from roemetry.records import Frame, Reason
 from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry_kernels.image_levels import median_of
 
 _LEVELS = 3
 """Halvings of the images: on the last, motions of some ten pixels are found; on the first, tenths of one."""
@@ -191,8 +192,8 @@ def _beside_stripes(laser: NDArray[Any]) -> Flags:
     opened = cv2.morphologyEx(laser, cv2.MORPH_OPEN, np.ones((1, _STRIPE_PX), np.uint8))
     taken = cv2.subtract(laser, opened)
     sample = taken[::_SAMPLED, ::_SAMPLED].astype(np.float32)
-    usual = float(np.median(sample))
-    noise = 1.4826 * float(np.median(np.abs(sample - usual)))
+    usual = median_of(sample.ravel())
+    noise = 1.4826 * median_of(np.abs(sample - usual).ravel())
     on = (taken > usual + _STRIPE * max(noise, 1.0)).astype(np.uint8)
     on = cv2.morphologyEx(on, cv2.MORPH_OPEN, np.ones((3, 1), np.uint8))  # single pixels are noise
     return np.asarray(cv2.dilate(on, np.ones(_GROWN, np.uint8)) == 0)
@@ -203,8 +204,8 @@ def _belt_like(log_plain: Singles) -> Flags:
     import cv2
 
     small = cv2.resize(log_plain, None, fx=1 / _BLOCK_PX, fy=1 / _BLOCK_PX, interpolation=cv2.INTER_AREA)
-    off = np.abs(small - np.median(small))
-    odd = (off > max(_OFF_BELT * 1.4826 * float(np.median(off)), _OFF_BELT_MIN)).astype(np.uint8)
+    off = np.abs(small - np.float32(median_of(small.ravel())))
+    odd = (off > max(_OFF_BELT * 1.4826 * median_of(off.ravel()), _OFF_BELT_MIN)).astype(np.uint8)
     odd = cv2.dilate(odd, np.ones((3, 3), np.uint8))
     rows, columns = log_plain.shape
     return np.asarray(cv2.resize(odd, (columns, rows), interpolation=cv2.INTER_NEAREST) == 0)
@@ -250,7 +251,7 @@ class _Seen(NamedTuple):
 
 def _clipped(values: Singles) -> Singles:
     sample = np.abs(values.ravel()[::_SAMPLED])
-    most = _ODD * 1.4826 * float(np.median(sample)) if sample.size else 0.0
+    most = _ODD * 1.4826 * median_of(sample) if sample.size else 0.0
     return np.asarray(np.clip(values, -most, most))
 
 

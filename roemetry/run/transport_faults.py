@@ -74,9 +74,11 @@ def check_repeats(laser: Frame, before: NDArray[Any]) -> None:
         return
     new, old = _words(laser.pixels), _words(before)
     again = new == old
-    level = new == (new & np.uint64(0xFF)) * _SAME_BYTES
     count = again.shape[1] // _RUN
     runs = (again[:, : count * _RUN].reshape(len(again), count, _RUN)).all(axis=2)
+    if np.count_nonzero(runs) < _RUNS_MIN:
+        return
+    level = new == (new & np.uint64(0xFF)) * _SAME_BYTES
     runs &= ~level[:, : count * _RUN].reshape(len(again), count, _RUN).all(axis=2)
     row, run = runs.nonzero()
     if len(row) < _RUNS_MIN:
@@ -169,18 +171,16 @@ def _all_differ(lines: NDArray[Any]) -> bool:
 
 def check_joins(frame: Frame) -> None:
     """Refuse an image of one channel that is joined of two; DataError with the place of the join."""
-    import cv2
-
     some = frame.pixels[::_SAMPLED, ::_SAMPLED].ravel()
     brightest = 99 * some.size // 100
     bright = float(np.partition(some, brightest)[brightest])
     least = int(max(_STEP_SHARE * bright, _STEP_MIN * frame.white))
-    for lines, what in ((cv2.transpose(frame.pixels), "rows"), (frame.pixels, "columns")):
-        some = lines[::_SPARSE]
-        joined, alternate = _steep_steps(some, least)
-        if np.maximum(joined, alternate).max() <= _SPARSE_SHARE * _JOINED_SHARE * len(some):
+    for lines, what in ((frame.pixels.T, "rows"), (frame.pixels, "columns")):
+        some = np.ascontiguousarray(lines[::_SPARSE])
+        few = _SPARSE_SHARE * _JOINED_SHARE * len(some)
+        if _steepest(some, least) <= few or max(map(np.max, _steep_steps(some, least))) <= few:
             continue
-        joined, alternate = _steep_steps(lines, least)
+        joined, alternate = _steep_steps(np.ascontiguousarray(lines), least)
         beside = np.max([np.roll(joined, k) for k in range(-_BESIDE, _BESIDE + 1) if k], axis=0)
         count = np.maximum(alternate, joined - _TIMES_BESIDE * beside)
         place = int(count.argmax())
@@ -190,6 +190,14 @@ def check_joins(frame: Frame) -> None:
                 "than any lens draws: lines are lost there, or a part is another frame's",
                 hint="look at cable, network and frame grabber; take the image again",
             )
+
+
+def _steepest(lines: NDArray[Any], least: int) -> int:
+    """Count the lines whose light changes by so much at the boundary where most do: no join has fewer."""
+    import cv2
+
+    steep = cv2.absdiff(lines[:, :-1], lines[:, 1:]) > least
+    return int(cv2.reduce(steep.view(np.uint8), 0, cv2.REDUCE_SUM, dtype=cv2.CV_32S).max())
 
 
 def _steep_steps(lines: NDArray[Any], least: int) -> tuple[Integers, Integers]:
