@@ -38,8 +38,8 @@ class MqttOptions(StageOptions):
     ca_file: Path | None = Field(
         default=None, description="certificate of the authority that signed the broker's; none: no TLS"
     )
-    consumers: list[Annotated[str, Field(pattern=r"^[\w-]+$")]] = Field(
-        default_factory=list,
+    consumers: tuple[Annotated[str, Field(pattern=r"^[\w-]+$")], ...] = Field(
+        default=(),
         description="consumers that confirm: each publishes the key of a product that it has taken to "
         "TOPIC/taken/NAME; the operator is told of who has not for 2 s. Empty: nobody is watched",
     )
