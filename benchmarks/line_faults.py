@@ -270,7 +270,7 @@ class Rounds:
         images = ROOT / "recipes" / "herring_roe" / "images"
         text = LINE.format(folder=self.data / "line", recipe=recipe, rate=rate, images=images)
         text += NETWORK_CAMERA.format(recipe=recipe) if self.camera else ""
-        options = f"{{port: {port['mqtt']}, topic: bench, timeout_s: 2}}"
+        options = f"{{port: {port['mqtt']}, topic: bench, timeout_s: 2, consumers: [bench]}}"
         mqtt = f"  - {{name: broker, use: mqtt, options: {options}}}\n"
         text += REST.format(
             tcp=port["tcp"], opcua=port["opcua"], page=port["page"], broker=mqtt if self.broker else "",
@@ -309,8 +309,10 @@ class Rounds:
                 "broker: rows are not delivered",
                 lambda s: self.gone(self.broker, s + longer_s),
             )
-            # A broker does not tell who publishes how its subscribers are: nothing is to be seen.
-            self.faults["MQTT stuck"] = ("", lambda s: self.stuck("mqtt", s + longer_s))
+            self.faults["MQTT stuck"] = (
+                "broker: consumers that confirm no products",
+                lambda s: self.stuck("mqtt", s + longer_s),
+            )
         if self.database:
             self.faults["database gone"] = (
                 "history: rows are not",
@@ -392,7 +394,7 @@ class Rounds:
         seen: list[float] = []
 
         def watch() -> None:
-            while words and not seen and time.monotonic() - begin < seconds + 5.0:
+            while not seen and time.monotonic() - begin < seconds + 5.0:
                 if any(word in said for said in self.operator.alarms() for word in words.split("|")):
                     seen.append(max(0.0, time.monotonic() - self.begin_s))
                 time.sleep(0.02)

@@ -16,13 +16,14 @@ def mqtt(port: int, file: TextIO) -> None:
     """Subscribe at a broker under a name, so that it keeps what comes while this process is not there."""
     from paho.mqtt import client as paho
 
-    def keep(_client: Any, _data: Any, message: Any) -> None:
-        if "products" in message.topic:
-            file.write(json.loads(message.payload)["key"] + "\n")
-            file.flush()
+    def keep(client: Any, _data: Any, message: Any) -> None:
+        key = json.loads(message.payload)["key"]
+        file.write(key + "\n")
+        file.flush()
+        client.publish("bench/taken/bench", key, qos=1)
 
     client = paho.Client(paho.CallbackAPIVersion.VERSION2, "bench", clean_session=False)
-    client.on_connect = lambda client, *_: client.subscribe("bench/#", qos=1)
+    client.on_connect = lambda client, *_: client.subscribe("bench/products", qos=1)
     client.on_message = keep
     client.reconnect_delay_set(1, 1)
     client.connect_async("127.0.0.1", port, keepalive=5)

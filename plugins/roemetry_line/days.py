@@ -23,6 +23,8 @@ from roemetry_line.outbox import Outbox
 from roemetry_line.outlets.database import COLUMNS, NUMBERS, PostgresTable, SqliteTable, connect
 
 _DAY_S, _HOUR_S = 86400.0, 3600.0
+_FIRST_S = 60.0
+"""After so long it is done first, s: not while the line starts."""
 _LATE_DAYS = 7
 """Rows may come late, after an outage or a restart: for so many days they are added to their day's file."""
 _OF_DAY = "from roemetry_rows where line = {0} and time_s >= {0} and time_s < {0}"
@@ -94,7 +96,7 @@ class HourlyTidying:
     def __init__(self, line: Line, outbox: Outbox) -> None:
         self._line, self._outbox = line, outbox
         self._process: subprocess.Popen[bytes] | None = None
-        self._next_s = time.monotonic() + 60.0  # not while the line starts
+        self._next_s = time.monotonic() + _FIRST_S
 
     def look(self) -> None:
         """Begin it when an hour is over, and see what came of it; OutputError where that cannot be told."""

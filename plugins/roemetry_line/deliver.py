@@ -24,7 +24,9 @@ _REOPEN_S = (0.5, 1.0, 2.0)
 """How long a receiver that is not there is left alone, the first times and from then on, s."""
 _DRAIN_S = 5.0
 """How long, once asked to stop, rows that wait are still delivered, s; the others stay in the outbox."""
-_PRUNE_S = 60.0
+_CARE_S = 1.0
+_PAUSE_S = 0.01
+"""What stations that write get of the outbox between two steps of its pruning, s."""
 _MARK_S = 0.25
 """How often, while rows come, it is written down how far an outlet has got, s: a write for each row would
 keep the stations' writes waiting, and what was delivered since comes again after a death, by the same key."""
@@ -128,35 +130,36 @@ def _deliver(line: Line, outbox: Outbox, stop: threading.Event) -> None:
     for thread in threads:
         thread.start()
     settle()
-    tidying = HourlyTidying(line, outbox)
-    pruned = beaten = 0.0
+    threading.Thread(target=_care, args=(line, outbox, workers, stop), daemon=True).start()
     while any(thread.is_alive() for thread in threads) or (not threads and not stop.is_set()):
         outbox.listen(_TICK_S)
         with news:
             news.notify_all()
-        now = time.monotonic()
+
+
+def _care(line: Line, outbox: Outbox, workers: Sequence[Deliverer], stop: threading.Event) -> None:
+    """Once a second say how the outlets are, and look after outbox and history; no row waits for it."""
+    tidying = HourlyTidying(line, outbox)
+    while True:
         try:
-            if now - beaten > 1.0:
-                beaten = now
-                outbox.checkpoint()
-                waiting = outbox.waiting([worker.name for worker in workers])
-                told = {
-                    worker.name: {
-                        "state": worker.state,
-                        "delivered": worker.delivered,
-                        "waiting": waiting[worker.name],
-                        "reconnects": worker.reconnects,
-                    }
-                    for worker in workers
+            outbox.checkpoint()
+            waiting = outbox.waiting([worker.name for worker in workers])
+            told = {
+                worker.name: {
+                    "state": worker.state,
+                    "delivered": worker.delivered,
+                    "waiting": waiting[worker.name],
+                    "reconnects": worker.reconnects,
                 }
-                outbox.beat("outlets", "stopping" if stop.is_set() else "running", told)
-            if now - pruned > _PRUNE_S:
-                pruned = now
-                outbox.prune([worker.name for worker in workers])
+                for worker in workers
+            }
+            outbox.beat("outlets", "stopping" if stop.is_set() else "running", told)
+            while outbox.prune(list(told)):
+                time.sleep(_PAUSE_S)
             tidying.look()
         except OutputError as error:
             log("error", "outbox", str(error))
-            stop.wait(0.5)
+        time.sleep(_CARE_S)
 
 
 if __name__ == "__main__":

@@ -47,6 +47,8 @@ _BUSY_S = 10.0
 """How long a writer waits for another, s: each holds the file for well under a tenth of that."""
 _KEPT = 10_000
 """Delivered rows that stay, for whoever asks for the last ones: an hour at three a second."""
+_AT_ONCE = 100
+"""Rows that are taken out at once: a thousand would keep a station that writes waiting."""
 
 Level = Literal["note", "warning", "alarm"]
 
@@ -152,16 +154,18 @@ class Outbox:
         """Count, by outlet, the rows that it has still to deliver."""
         return {name: self._count_after(self.mark(name)) for name in outlets}
 
-    def prune(self, outlets: Sequence[str]) -> None:
-        """Take out what every outlet has delivered, but for the last rows."""
+    def prune(self, outlets: Sequence[str]) -> bool:
+        """Take out some of what every outlet has, but for the last rows; False where that was all."""
         done = min((self.mark(name) for name in outlets), default=None)
         with self._lock, _named(self._path):
             last = self._db.execute("select max(n) from rows").fetchone()[0] or 0
             until = last - _KEPT if done is None else min(done, last - _KEPT)
-            self._db.execute("delete from rows where n <= ?", (until,))
             self._db.execute(
                 "delete from alarms where ended is not null and ended < ?", (time.time() - 30 * 86400,)
             )
+            some = "select n from rows where n <= ? order by n limit ?"
+            gone = self._db.execute(f"delete from rows where n in ({some})", (until, _AT_ONCE)).rowcount
+            return gone == _AT_ONCE
 
     def raise_alarm(self, station: str, code: str, text: str, level: Level = "alarm") -> bool:
         """Note that something is wrong, once until it has ended; True where it is new."""

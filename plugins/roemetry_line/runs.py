@@ -11,6 +11,9 @@ import json
 import math
 import os
 import struct
+import subprocess
+import sys
+import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -58,11 +61,10 @@ def image_of(run: Path, acquisition: str) -> Path:
 
 
 class Spool:
-    """The frames of a run, as they come from the camera; nothing is spooled where `keep_gb` is 0."""
+    """The frames of a run, as they come from the camera; nothing is spooled where none are kept."""
 
-    def __init__(self, run: Path, keep_gb: float) -> None:
-        self._run = run
-        self._keep_bytes = keep_gb * 1e9
+    def __init__(self, run: Path, kept: KeptImages) -> None:
+        self._run, self._kept = run, kept
         self._count = 0
         self._before: NDArray[Any] | None = None
         make_folder(run / _IMAGES)
@@ -78,7 +80,7 @@ class Spool:
         acquisition = Acquisition(name, frames, before=self._before)
         taken = acquisition.frame("laser")
         self._before = None if taken is None else taken.pixels
-        if self._keep_bytes == 0:
+        if self._kept.keep_bytes == 0:
             return acquisition, {}
         files: dict[Role, str] = {}
         hashes: dict[str, str] = {}
@@ -88,6 +90,7 @@ class Spool:
             path = image_of(self._run, name if frame.role == "laser" else f"{name}-{frame.role}")
             files[frame.role] = f"{_IMAGES}/{path.name}"
             write_bytes(path, content)
+            self._kept.add(self._run, len(content))
         laser = next(frame for frame in frames if frame.role == "laser")
         self._items.add(
             Item(
@@ -110,17 +113,38 @@ class Spool:
         self._items.close()
 
 
-def thin_out(home: Path, station: str, keep_gb: float) -> int:
-    """Take away the oldest images of a station beyond what is kept; give how many. Rows and lists stay."""
-    images = [path for run in runs_of(home, station) for path in sorted((run / _IMAGES).glob("*.tif"))]
-    sizes = [path.stat().st_size for path in images]
-    excess, removed = sum(sizes) - keep_gb * 1e9, 0
-    for path, size in zip(images, sizes, strict=True):
-        if excess <= 0:
-            break
-        path.unlink(missing_ok=True)
-        excess, removed = excess - size, removed + 1
-    return removed
+class KeptImages:
+    """The images that a station keeps: the oldest go where one comes beyond `keep_gb`. Rows and lists stay.
+
+    They are listed once, and a run's again when its turn has come: to list 20,000 of them takes 2 s, and who
+    measures has to wait meanwhile.
+    """
+
+    def __init__(self, home: Path, station: str, keep_gb: float) -> None:
+        self.keep_bytes = keep_gb * 1e9
+        self._bytes = {
+            run: sum(one.stat().st_size for one in os.scandir(run / _IMAGES))
+            for run in runs_of(home, station)
+            if (run / _IMAGES).is_dir()
+        }
+        self._oldest: list[str] = []
+
+    def add(self, run: Path, size: int) -> None:
+        """Count an image of a run, bytes, and take away what is too much."""
+        self._bytes[run] = self._bytes.get(run, 0) + size
+        while sum(self._bytes.values()) > self.keep_bytes:
+            first = next(iter(self._bytes))
+            try:
+                self._oldest = self._oldest or sorted(
+                    (one.name for one in os.scandir(first / _IMAGES)), reverse=True
+                )
+                path = first / _IMAGES / self._oldest.pop()
+                size = path.stat().st_size
+                path.unlink()
+                self._bytes[first] -= size
+            except (OSError, IndexError):  # somebody has taken it away, or them all
+                if not self._oldest:
+                    del self._bytes[first]
 
 
 class RunRecord:
@@ -137,9 +161,8 @@ class RunRecord:
         self._lines.append("\n".join(lines))
 
     def close(self) -> None:
-        """Close it, and write down that the run is finished."""
+        """Close it; `finish` is for whoever has the time."""
         self._lines.__exit__(None, None, None)
-        finish(self.run)
 
 
 def finish(run: Path) -> None:
@@ -153,6 +176,12 @@ def finish(run: Path) -> None:
         "seconds_median": {},
     }
     write_whole(run / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
+
+
+def finish_beside(run: Path) -> None:
+    """Have a run finished by a process of its own: to read 50,000 rows takes seconds. Nobody waits for it."""
+    command = [sys.executable, "-m", "roemetry_line.runs", str(run)]
+    threading.Thread(target=lambda: subprocess.run(command, check=False), daemon=True).start()
 
 
 def unfinished(run: Path) -> bool:
@@ -223,3 +252,8 @@ def disk_free(folder: Path) -> float:
     except OSError:
         return math.nan
     return found.f_bavail * found.f_frsize / 1e9
+
+
+if __name__ == "__main__":
+    os.nice(10)
+    finish(Path(sys.argv[1]))

@@ -51,8 +51,6 @@ _RETRY_S = 0.5
 """How long a disk that refuses is left alone before it is tried again, s."""
 _RELOAD_S = 1.0
 """How often the recipe's file is looked at, s."""
-_THIN_OUT_S = 30.0
-"""How often images are taken away that are more than is kept, s."""
 _DISK_LOW_GB = 1.0
 _OPENING_S = 15.0
 """So long a driver may take to open a camera, s."""
@@ -119,6 +117,7 @@ class StationProcess:
         self._outbox, self._stop = outbox, stop
         self._home = line.folder / "runs"
         self._section = self._station.section
+        self._kept = runs.KeptImages(self._home, name, self._section.spool_gb)
         self._queue: queue.Queue[Task] = queue.Queue(self._section.queue)
         self._figures = Figures()
         self._next: Recipe | None = None
@@ -155,7 +154,6 @@ class StationProcess:
                 lambda: self._take(job),
                 self._watch_deadlines,
                 self._watch_recipe,
-                self._watch_spool,
                 lambda: self._checks.run(self._stop),
             )
         ]
@@ -272,7 +270,7 @@ class StationProcess:
             Pipeline(recipe),
             calibration_doubts(recipe),
             run,
-            runs.Spool(run, self._section.spool_gb),
+            runs.Spool(run, self._kept),
             runs.RunRecord(run, recipe),
         )
 
@@ -293,11 +291,13 @@ class StationProcess:
                 continue
             if task.job is not job:
                 job.record.close()
+                runs.finish_beside(job.run)
                 job = task.job
             self._measure(task)
             self._beat()
         job.spool.close()
         job.record.close()
+        runs.finish(job.run)
         self._state = "stopped"
         self._beat(now=True)
 
@@ -431,12 +431,6 @@ class StationProcess:
             current, seen = changed, (changed.path, _states(changed))
             with self._lock:
                 self._next = changed
-
-    def _watch_spool(self) -> None:
-        """Take the oldest images away once there are more than are kept."""
-        while not self._stop.wait(_THIN_OUT_S):
-            if self._section.spool_gb:
-                runs.thin_out(self._home, self._name, self._section.spool_gb)
 
     def _loaded_now(self) -> Recipe:
         """Load the recipe that is at work, as it is on disk."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import sys
 import time
 import warnings
 from collections.abc import Iterator
@@ -25,6 +26,8 @@ _TICK_S = 0.5
 _GREY_BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono14": 14, "Mono16": 16}
 _COLOURS = {"RGB8": (0, 1, 2), "BGR8": (2, 1, 0), "RGBa8": (0, 1, 2), "BGRa8": (2, 1, 0)}
 """By pixel format, where red, green and blue stand."""
+_PROCESSORS = {3: "32-bit x86", 40: "32-bit ARM", 62: "64-bit x86", 183: "64-bit ARM", 243: "RISC-V"}
+"""Machines of the ELF header (System V gABI, e_machine)."""
 
 
 class GenICamOptions(CameraOptions):
@@ -167,11 +170,22 @@ def _check_processor(producer: Path) -> None:
     try:
         ctypes.CDLL(str(producer))
     except OSError as error:
+        # Linux says of a library for another processor that there is no such file.
+        its, own = _processor(producer), _processor(Path(sys.executable))
+        said = f"it is for {its}, this machine is {own}" if its and its != own else str(error)
         raise ConfigurationError(
-            f"{producer}: cannot be loaded: {error}",
+            f"{producer}: cannot be loaded: {said}",
             hint="it must be the maker's producer for this system and processor",
             at=("producer",),
         ) from error
+
+
+def _processor(program: Path) -> str:
+    """Name the processor that a Linux program or library (ELF) is for; empty for other files."""
+    with program.open("rb") as file:
+        head = file.read(20)
+    number = int.from_bytes(head[18:20], "little")
+    return _PROCESSORS.get(number, f"a processor of number {number}") if head[:4] == b"\x7fELF" else ""
 
 
 def _told(record: Any, name: str, otherwise: Any = None) -> Any:

@@ -8,13 +8,14 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from roemetry.errors import OutputError
 from roemetry.records.live import LineRow
 from roemetry.stages import Capabilities, Outlet, StageOptions
+from roemetry_line.outlets.mqtt_consumers import Consumers
 
 
 class MqttOptions(StageOptions):
@@ -36,6 +37,11 @@ class MqttOptions(StageOptions):
     password_file: Path | None = Field(default=None, description="file that holds the password; none: none")
     ca_file: Path | None = Field(
         default=None, description="certificate of the authority that signed the broker's; none: no TLS"
+    )
+    consumers: tuple[Annotated[str, Field(pattern=r"^[\w-]+$")], ...] = Field(
+        default=(),
+        description="consumers that confirm: each publishes the key of a product that it has taken to "
+        "TOPIC/taken/NAME; the operator is told of who has not for 2 s. Empty: nobody is watched",
     )
     timeout_s: float = Field(default=5.0, gt=0, le=60, description="how long an answer may take, s")
 
@@ -76,14 +82,25 @@ class Mqtt(Outlet[MqttOptions]):
             if session.refused:
                 raise self._unreachable(f"the broker refuses: {session.refused}")
             client.publish(f"{self.options.topic}/online", "1", qos=1, retain=True)
-            yield lambda rows: self._deliver(client, session, rows)
+            consumers = Consumers(self.options.consumers)
+            confirmed = f"{self.options.topic}/taken/"
+            client.message_callback_add(
+                f"{confirmed}+",
+                lambda _client, _data, message: consumers.taken(
+                    message.topic.removeprefix(confirmed), message.payload.decode("utf-8", "replace")
+                ),
+            )
+            if self.options.consumers:
+                client.subscribe(f"{confirmed}+", qos=1)
+            with consumers.watched(self.line):
+                yield lambda rows: self._deliver(client, session, consumers, rows)
             with suppress(RuntimeError, ValueError):  # the connection is gone: the last will says it
                 client.publish(f"{self.options.topic}/online", "0", qos=1, retain=True).wait_for_publish(1.0)
         finally:
             client.disconnect()
             client.loop_stop()
 
-    def _deliver(self, client: Any, session: _Session, rows: Sequence[LineRow]) -> None:
+    def _deliver(self, client: Any, session: _Session, consumers: Consumers, rows: Sequence[LineRow]) -> None:
         waiting = set()
         for row in rows:
             topic = f"{self.options.topic}/{row.kind}s"
@@ -91,6 +108,8 @@ class Mqtt(Outlet[MqttOptions]):
             if sent.rc != 0:
                 raise self._unreachable("the connection is lost")
             waiting.add(sent.mid)
+            if row.kind == "product":
+                consumers.sent(row.key)
         self._wait(session, lambda: session.lost or waiting <= session.acknowledged)
         if session.lost:
             raise self._unreachable("the connection is lost")

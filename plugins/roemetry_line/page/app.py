@@ -36,7 +36,7 @@ from roemetry_line.page.users import MAY, Role, Session, Users
 
 _STATIC = Path(__file__).parent / "static"
 _COOKIE = "roemetry_session"
-_BODY_MAX = 10_000
+_BODY_MAX, _BODY_S = 10_000, 5.0
 _EVERY_S = 0.5
 _BEAT_S = 1.0  # as the other processes: what is written once a second is enough to see a death
 """How often what is shown is read anew, s."""
@@ -248,12 +248,11 @@ class LinePage:
         session = self._users.session(request.cookies.get(_COOKIE))
         if session is None:
             raise RefusedError(401, "log in first")
-        if not secrets.compare_digest(request.headers.get("X-CSRF-Token", ""), session.csrf):
+        told = request.headers.get("X-CSRF-Token", "")
+        if not secrets.compare_digest(told.encode(), session.csrf.encode()):
             raise RefusedError(403, "the request does not come from this page")
         if MAY[session.role] < MAY[role]:
-            raise RefusedError(
-                403, f"a {session.role} may not do this; a{'n' * (role[0] in 'oe')} {role} may"
-            )
+            raise RefusedError(403, f"{session.role}s may not do this, {role}s may")
         return session
 
     def _known(self, request: Request) -> str:
@@ -273,10 +272,14 @@ async def _body(request: Request) -> dict[str, Any]:
     if request.headers.get("Content-Type", "").partition(";")[0] != "application/json":
         raise RefusedError(415, "expected application/json")
     content = b""
-    async for part in request.stream():
-        content += part
-        if len(content) > _BODY_MAX:
-            raise RefusedError(413, f"at most {_BODY_MAX} bytes are read")
+    try:
+        async with asyncio.timeout(_BODY_S):
+            async for part in request.stream():
+                content += part
+                if len(content) > _BODY_MAX:
+                    raise RefusedError(413, f"at most {_BODY_MAX} bytes are read")
+    except TimeoutError as error:
+        raise RefusedError(408, f"the body did not come within {_BODY_S:g} s") from error
     try:
         found = json.loads(content)
     except (ValueError, RecursionError) as error:

@@ -121,7 +121,8 @@ def tried(line):
          r"line\.yaml:7:5: there is no camera none-such", "plugged"),
         ("aravis", "emulated: true\n        nodes: {Widht: 3}",
          r"line\.yaml:11:17: the camera has no node `Widht`", "did you mean `Width`"),
-        ("genicam", "producer: other.cti", r"line\.yaml:10:9: .*other\.cti: cannot be loaded", "processor"),
+        ("genicam", "producer: other.cti",
+         r"line\.yaml:10:9: .*other\.cti: cannot be loaded: it is for 64-bit ARM", "processor"),
         ("folder-watch", "path: /nowhere", r"line\.yaml:7:5: /nowhere: cannot be looked into", "path"),
     ],
 )  # fmt: skip

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,10 +11,11 @@ from hypothesis import strategies as st
 
 from roemetry.errors import OutputError
 from roemetry_line.control_charts import chart_of
-from roemetry_line.days import tidy, write_days
+from roemetry_line.days import HourlyTidying, tidy, write_days
 from roemetry_line.gate import GateSection, ShiftRegister, count_at_gate
 from roemetry_line.history import charts_of, counts_of
 from roemetry_line.line_file import Line
+from roemetry_line.outbox import Outbox
 from roemetry_line.outlets.database import COLUMNS, connect
 
 HOUR_S = 3600.0
@@ -93,7 +96,7 @@ def test_closed_days_become_parquet_once_and_again_where_rows_came_late(tmp_path
     assert write_days(made, "another line", days, now=40 * HOUR_S) == []
 
 
-def test_nothing_is_forgotten_before_its_day_is_written(line, tmp_path) -> None:
+def test_nothing_is_forgotten_before_its_day_is_written(line, tmp_path, monkeypatch) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     recipe = line()
     path = recipe.parent / "line.yaml"
@@ -110,7 +113,13 @@ def test_nothing_is_forgotten_before_its_day_is_written(line, tmp_path) -> None:
         tidy(Line.load(path))
     assert made.ask("select count(*) from roemetry_rows") == [(48,)]
     blocked.unlink()
-    tidy(Line.load(path))
+    outbox = Outbox(recipe.parent / "data")
+    outbox.raise_alarm("history", "days", "closed days are not written")
+    monkeypatch.setattr("roemetry_line.days._FIRST_S", 0.0)
+    tidying, until_s = HourlyTidying(Line.load(path), outbox), time.monotonic() + 60.0
+    while outbox.open_alarms("history") and time.monotonic() < until_s:
+        tidying.look()  # as a line does, which has it done by a process beside
+        time.sleep(0.02)
     assert made.ask("select count(*) from roemetry_rows") == [(0,)]
     assert [parquet.ParquetFile(day).metadata.num_rows for day in sorted(blocked.iterdir())] == [24, 24]
 

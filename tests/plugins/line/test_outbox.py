@@ -32,13 +32,15 @@ def test_rows_come_in_order_and_once(tmp_path) -> None:
 
 def test_what_waits_is_not_pruned(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr("roemetry_line.outbox._KEPT", 2)
+    monkeypatch.setattr("roemetry_line.outbox._AT_ONCE", 2)
     outbox = Outbox(tmp_path)
     outbox.put([row(n) for n in range(1, 11)])
     outbox.delivered("plc", 3)
-    outbox.prune(["plc", "new"])
+    assert not outbox.prune(["plc", "new"])
     assert len(outbox.after(0, 100)) == 10  # `new` has none yet
     outbox.delivered("new", 10)
-    outbox.prune(["plc", "new"])
+    assert outbox.prune(["plc", "new"])
+    assert not outbox.prune(["plc", "new"])
     assert [one.summary["n"] for one in outbox.after(0, 100)] == list(range(4, 11))
 
 

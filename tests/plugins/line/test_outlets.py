@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import queue
 import shutil
 import socket
 import struct
@@ -264,6 +265,19 @@ def test_modbus_is_understood_by_another_implementation() -> None:
         plc.close()
 
 
+class Operator:
+    """Keeps what an outlet warns of."""
+
+    def __init__(self) -> None:
+        self.told: queue.Queue[str | None] = queue.Queue()
+
+    def warn(self, text: str | None) -> None:
+        self.told.put(text)
+
+    def told_within(self, seconds: float) -> str | None:
+        return self.told.get(timeout=seconds)
+
+
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_mqtt_survives_its_broker(tmp_path) -> None:
     pytest.importorskip("paho", reason="the extra line has paho-mqtt")
@@ -288,11 +302,20 @@ def test_mqtt_survives_its_broker(tmp_path) -> None:
     from paho.mqtt import client as paho
 
     got: list[str] = []
+    stuck = threading.Event()
     running = broker()
-    outlet = Mqtt(MqttOptions(port=port, topic="t", timeout_s=2.0))
+    outlet = Mqtt(MqttOptions(port=port, topic="t", timeout_s=2.0, consumers=["sub"]))
+    outlet.line = operator = Operator()
     subscriber = paho.Client(paho.CallbackAPIVersion.VERSION2, "sub", clean_session=False)
     subscriber.on_connect = lambda client, *_: client.subscribe("t/products", qos=1)
-    subscriber.on_message = lambda client, data, message: got.append(json.loads(message.payload)["key"])
+
+    def take(client: paho.Client, _data: object, message: paho.MQTTMessage) -> None:
+        while stuck.is_set():
+            time.sleep(0.05)
+        got.append(json.loads(message.payload)["key"])
+        client.publish("t/taken/sub", got[-1], qos=1)
+
+    subscriber.on_message = take
     subscriber.reconnect_delay_set(1, 1)
     subscriber.connect("127.0.0.1", port, keepalive=5)
     subscriber.loop_start()
@@ -304,25 +327,31 @@ def test_mqtt_survives_its_broker(tmp_path) -> None:
                 if len(got) == 2:
                     break
                 time.sleep(0.05)
+            assert operator.told_within(1.0) is None
+            stuck.set()
+            deliver([row(3)])  # the broker takes it, whoever is behind it
+            assert operator.told_within(2.8) == "consumers that confirm no products: sub"
+            stuck.clear()
+            assert operator.told_within(1.0) is None
             running.kill()
             running.wait()
             with pytest.raises(OutputError, match=str(port)):
-                deliver([row(3)])
+                deliver([row(4)])
         with pytest.raises(OutputError, match=str(port)), outlet.open():
             pass
         running = broker()
         time.sleep(1.5)  # the subscriber is back
         with outlet.open() as deliver:
-            deliver([row(3), row(4)])
+            deliver([row(4), row(5)])
         for _ in range(60):
-            if len(set(got)) == 4:
+            if len(set(got)) == 5:
                 break
             time.sleep(0.05)
     finally:
         subscriber.loop_stop()
         running.kill()
         running.wait()
-    assert list(dict.fromkeys(got)) == [f"l/r/00000{n}#1" for n in (1, 2, 3, 4)]
+    assert list(dict.fromkeys(got)) == [f"l/r/00000{n}#1" for n in (1, 2, 3, 4, 5)]
 
 
 def free_port() -> int:

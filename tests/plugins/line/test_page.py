@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import time
 import warnings
@@ -12,12 +13,14 @@ import pytest
 
 from roemetry_line.line_file import Line
 from roemetry_line.outbox import NewRow, Outbox
+from roemetry_line.page import app as page_app
 from roemetry_line.page.app import LinePage
 from roemetry_line.page.users import Users, read_users, set_password
 from roemetry_line.runs import tiff_of
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # some releases ask for a package that takes the place of httpx
+    starlette_requests = pytest.importorskip("starlette.requests")
     starlette = pytest.importorskip("starlette.testclient", reason="httpx is not installed")
 
 LINE = """\
@@ -89,6 +92,7 @@ def test_a_recipe_that_is_none_of_the_lines_is_refused(at) -> None:
     [
         {"X-CSRF-Token": ""},
         {"X-CSRF-Token": "guessed"},
+        {"X-CSRF-Token": b"gu\xe4ssed"},
         {"Origin": "http://elsewhere.example"},
         {"Origin": "null"},
     ],
@@ -175,6 +179,13 @@ def test_no_path_leads_outside(at, path) -> None:
 )
 def test_bodies_that_are_none_are_refused(at, content, kind, status) -> None:
     assert at[2].post("/log-in", content=content, headers={"Content-Type": kind}).status_code == status
+
+
+def test_a_body_that_does_not_come_is_not_waited_for(monkeypatch) -> None:
+    monkeypatch.setattr(page_app, "_BODY_S", 0.01)
+    head = {"type": "http", "headers": [(b"content-type", b"application/json")]}
+    with pytest.raises(page_app.RefusedError, match="did not come within"):
+        asyncio.run(page_app._body(starlette_requests.Request(head, lambda: asyncio.sleep(60))))
 
 
 def test_every_answer_keeps_other_pages_out(at) -> None:

@@ -38,7 +38,7 @@ def test_another_reader_agrees(tmp_path, rng) -> None:
 
 def test_a_spool_is_a_data_set(tmp_path, rng) -> None:
     run = runs.new_run(tmp_path, "s")
-    spool = runs.Spool(run, 1.0)
+    spool = runs.Spool(run, runs.KeptImages(tmp_path, "s", 1.0))
     taken = [Frame(rng.integers(0, 4096, (6, 8)).astype(np.uint16), bit_depth=12, time_s=5.5 + n,
                    encoder_count=100.0 + n) for n in range(3)]  # fmt: skip
     given_on = [spool.add((frame,)) for frame in taken]
@@ -58,13 +58,24 @@ def test_runs_of_one_second_have_names_of_their_own(tmp_path) -> None:
 
 
 def test_the_oldest_images_go_first(tmp_path) -> None:
-    folder = runs.new_run(tmp_path, "s")
-    spool = runs.Spool(folder, 1.0)
+    image = (Frame(np.zeros((100, 100), np.uint8)),)  # 10 kB, and a head
+    first, second = runs.new_run(tmp_path, "s"), runs.new_run(tmp_path, "s")
+
+    def left() -> list[list[str]]:
+        return [[path.stem for path in sorted(run.glob("images/*"))] for run in (first, second)]
+
+    spool = runs.Spool(first, runs.KeptImages(tmp_path, "s", 2.5e-5))
     for _ in range(4):
-        spool.add((Frame(np.zeros((100, 100), np.uint8)),))
-    spool.close()
-    assert runs.thin_out(tmp_path, "s", 2.5e-5) == 2
-    assert [path.stem for path in sorted((folder / "images").iterdir())] == ["000003", "000004"]
+        spool.add(image)
+    assert left()[0] == ["000003", "000004"]
+    spool = runs.Spool(second, runs.KeptImages(tmp_path, "s", 4.5e-5))  # as after a restart
+    for _ in range(3):
+        spool.add(image)
+    assert left() == [["000004"], ["000001", "000002", "000003"]]
+    (first / "images" / "000004.tif").unlink()  # by hand
+    for _ in range(3):
+        spool.add(image)
+    assert left() == [[], ["000003", "000004", "000005", "000006"]]
 
 
 def test_a_record_is_completed_from_the_outbox(tmp_path) -> None:
