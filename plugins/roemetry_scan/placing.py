@@ -111,7 +111,7 @@ class BeltMotion(Assembler[BeltOptions]):
         )
         if not (label == 0).any():
             return profiles
-        return self._with_flanks(_on_belt(profiles, fitted_plane(_some(xyz_mm, label == 0))))
+        return _with_flanks(_on_belt(profiles, fitted_plane(_some(xyz_mm, label == 0))))
 
     def label(self, profiles: Profiles, own: tuple[int, int] | None = None) -> Profiles:
         """Lay Z = 0 on the belt that is seen, and number the products that begin in the own lines."""
@@ -137,14 +137,7 @@ class BeltMotion(Assembler[BeltOptions]):
         if figures is not None:
             figures = replace(figures, jitter_mm=_jitter(height, number, noise))
         found = replace(profiles, product=number, seen=profiles.seen & (number >= 0), scan=figures)
-        return self._with_flanks(found)
-
-    def _with_flanks(self, profiles: Profiles) -> Profiles:
-        """Add what is not seen of products' flanks."""
-        if not self.options.flanks:
-            return profiles
-        xyz_mm, label, added = followed(profiles.xyz_mm, profiles.product, profiles.plane)
-        return replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added)
+        return _with_flanks(found)
 
     def motion(
         self, stripes: StripeMap, lines: ScanLines, calibration: Calibration, triangulator: Triangulator[Any],
@@ -162,6 +155,12 @@ def motion_of(calibration: Calibration) -> Motion:
             hint="add `scan` to the rig file, a known body carried once through the light, and calibrate",
         )
     return calibration.motion
+
+
+def _with_flanks(profiles: Profiles) -> Profiles:
+    """Add what is not seen of products' flanks."""
+    xyz_mm, label, added = followed(profiles.xyz_mm, profiles.product, profiles.plane)
+    return replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added)
 
 
 def _lags(plane: Floats, motion: Floats, middle: int) -> Floats:
