@@ -147,8 +147,9 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> Floats:
     """Give (product + 1,) the height of each one's rim, if belt is seen right beside it somewhere; else NaN.
 
     Near a rim heights are r + √(α·d): of a last point that lies anywhere within a spacing of it and of the
-    next one, z₀ − 1.4·(z₁ − z₀) is r on the mean, over many image rows within a hundredth of the height. Where
-    light grazes, the point nearest to the rim is often too dim: such rows count as low ones of the median.
+    next one, z₀ − 1.4·(z₁ − z₀) is r on the mean, over many image rows within a hundredth of the height.
+    Where light grazes, the point nearest to the rim is often too dim: such rows count as low ones of the
+    median.
     """
     slices, points = label.shape
     found, count = np.full((products + 1, 2 * points), np.nan), np.zeros(products + 1, np.int64)

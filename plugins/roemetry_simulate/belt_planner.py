@@ -89,11 +89,9 @@ class BeltPlanner(Planner[MovingBeltOptions]):
 def enough_mm(bodies: Bodies) -> float:
     """Give the line spacing up to which sampling does not count, mm, rounded down to two digits."""
     # errors rise and fall with how many whole spacings a length has: it is the first that counts
-    tried = np.geomspace(5e-3, 0.5, 200) * float(bodies.lengths_mm.min())
-    good = next(
-        (k for k, one in enumerate(tried) if bodies.sampling_pct(float(one)) > _ENOUGH_PCT), tried.size
-    )
-    found = float(tried[max(good - 1, 0)])
+    found = 0.01 * float(bodies.lengths_mm.min())
+    while found < 0.5 * bodies.length_mm and bodies.sampling_pct(1.01 * found) <= _ENOUGH_PCT:
+        found *= 1.01
     digits = 1 - math.floor(math.log10(found))
     return math.floor(found * 10**digits) / 10**digits
 
@@ -144,4 +142,4 @@ def _faults(space: Space, bodies: Bodies, now_mm: float) -> Iterator[str]:
     if bodies.width_mm > high - low:
         yield f"{bodies.height_mm:.0f} mm above the belt the camera sees a width of {high - low:.0f} mm"
     if bodies.height_mm > space.highest_mm:
-        yield f"a product is {bodies.height_mm:.0f} mm high, the line leaves the image at {space.highest_mm:.0f}"
+        yield f"a product {bodies.height_mm:.0f} mm high: the line leaves the view at {space.highest_mm:.0f} mm"

@@ -40,7 +40,7 @@ def test_a_product_higher_than_the_line_is_seen_is_told():
     plan = BeltPlanner(MovingBeltOptions.model_validate(SCENE | {"product": high})).plan(simulate=False)
     assert plan.answer is not None
     assert not plan.answer.fits
-    assert "the line leaves the image" in plan.answer.limiting
+    assert "leaves the view" in plan.answer.limiting
 
 
 def test_an_empty_belt_has_spacing_and_speed_and_no_answer():
