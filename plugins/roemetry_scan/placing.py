@@ -42,7 +42,7 @@ _BELT_POINTS = 100_000
 """Points that tell the belt's plane, to a thousandth of their scatter; all of a scan are 100 MB more."""
 
 _STRAY_FACTOR = 2.0
-"""Of a belt point's usual uncertainty: stray light had 3.0 to 7 of it, belt up to 1.25 (an egg, seed 9500)."""
+"""Of a belt point's usual uncertainty: stray light has 3.0 to 7 of it, belt up to 1.25 (seed 9500)."""
 
 
 class BeltMotion(Assembler[BeltOptions]):
@@ -205,7 +205,8 @@ def _usual(xyz_mm: Floats, axis: int) -> float:
 def _strayed(std_mm: Floats, belt: Flags) -> Flags:
     """Say which belt is light of the next row, which a lens has blurred over an edge.
 
-    That row shows no belt, or a flank too dim to stand out. Such light is much dimmer, so much less certain than the belt of the same row in other slices.
+    That row shows no belt, or a flank too dim to stand out. Such light is much dimmer, so much less certain
+    than the belt of the same row in other slices.
     """
     stated = np.where(belt, std_mm, np.nan)
     with warnings.catch_warnings():
