@@ -37,6 +37,7 @@ RECIPES = (
     "herring_roe/recipe",
     "herring_roe/with_outline",
     "potato/recipe",
+    "potato_dots/recipe",
     "weld_groove/recipe",
 )
 IMAGES = 4

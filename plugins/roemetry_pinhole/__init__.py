@@ -24,3 +24,17 @@ def roemetry_stages() -> Iterable[StageEntry]:
         summary="Each peak's straightened ray meets its stripe's plane of light",
         reference="Hartley and Zisserman (2004), chapters 6 and 7; the lens model is OpenCV's",
     )
+    yield StageEntry(
+        kind="calibrator",
+        name="pinhole-dots",
+        target="roemetry_pinhole.dot_calibrator:PinholeDotsCalibrator",
+        summary="Camera, lens, a ray of light for each dot, and belt from a board in many poses",
+        reference="As pinhole-plane; rays eliminated as in Triggs et al. (2000); numbering is ours",
+    )
+    yield StageEntry(
+        kind="triangulator",
+        name="pinhole-dots",
+        target="roemetry_pinhole.dot_rays:PinholeDots",
+        summary="Each dot's place on its ray, by the covariances of both",
+        reference="Hartley and Zisserman (2004), chapter 12, with one ray known",
+    )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roemetry.records import Board, CalibrationSet, Frame, Observation, Peaks
-from roemetry.records.arrays import Floats
+from roemetry.records.arrays import Flags, Floats
 from roemetry.records.calibration import Calibration
 from roemetry_pinhole.geometry import (
     turned,
@@ -17,6 +17,7 @@ from roemetry_pinhole.pinhole_plane import METHOD, displacements, rest_polynomia
 
 if TYPE_CHECKING:
     from roemetry.testing import LinearRig
+    from roemetry.testing.dots import DotRig
 
 
 _FAR_MM = 1e7  # a camera ten kilometres up sees in parallel
@@ -169,3 +170,73 @@ def _peaks(rig: LinearRig, crossings: Floats) -> Peaks:
         width_px=np.full(count, 2.355 * rig.sigma_px),
         flags=np.zeros(count, np.uint8),
     )
+
+
+def dots_of(rig: DotRig) -> Calibration:
+    """Give the calibration of a rig with dots: a pinhole camera that is so far away as that of lines."""
+    from roemetry.testing.dots import exact_rays
+    from roemetry_pinhole.dot_rays import METHOD as DOTS
+    from roemetry_pinhole.dot_rays import view_of as dots_view_of
+
+    plain = _calibration(rig, _FAR_MM, np.ones((rig.stripes, 3)))
+    parameters = {name: one for name, one in plain.parameters.items() if name != "planes_per_mm"}
+    flat = np.concatenate([one.ravel() for one in parameters.values()])
+    return Calibration(
+        method=DOTS,
+        image_size=plain.image_size,
+        turn_deg=0,
+        rest_px=rig.calibration().rest_px,
+        displacement_px_per_mm=np.full(rig.stripes, 2.0),
+        height_range_mm=(0.0, 25.0),
+        parameters=parameters,
+        covariance=np.zeros((flat.size, flat.size)),
+        extractor={"use": "exact"},
+        view=dots_view_of(parameters, rig.rays(), plain.image_size),
+        rays=exact_rays(rig.rays(), flat),
+    )
+
+
+@lru_cache(maxsize=4)
+def dots_observed_of(rig: DotRig) -> CalibrationSet:
+    """Give a chessboard in many poses under a matrix of dots that scatter a little, and the belt."""
+    start, way = _in_camera(rig)
+    level = np.array([0.0, 0.0, 1.0]) / _NEAR_MM
+    observations = [Observation("belt", _dark(rig, "belt"), _met(rig, start, way, level, None))]
+    for number in range(_POSES + 1):
+        rotation, shift = _pose(number)
+        lies = number == _POSES
+        if lies:
+            half = 0.5 * _BOARD.pitch_mm * np.array([_BOARD.columns, _BOARD.rows, 0.0])
+            rotation, shift = np.eye(3), np.array([0.0, 0.0, _NEAR_MM - _BOARD.thickness_mm]) - half
+        shows, name = "board_on_belt" if lies else "board", f"pose {number}"
+        image = _image(rig, rotation, shift)
+        plain = Frame(image, role="plain", name=f"{name} plain")
+        observations.append(Observation(shows, plain, rig.dots(np.empty((0, 2))), name))
+        if not lies:
+            lit = Frame(np.maximum(image, _glow(rig)), name=f"{name} laser")
+            normal = rotation[:, 2]
+            peaks = _met(rig, start, way, normal / (normal @ shift), (rotation, shift))
+            observations.append(Observation(shows, lit, peaks, name))
+    return CalibrationSet(tuple(observations), rig.stripes, None, _NEAR_MM, {"use": "exact"}, board=_BOARD)
+
+
+def _in_camera(rig: DotRig) -> tuple[Floats, Floats]:
+    """Give a point and the way of each ray (n, 3) in the frame of a camera 300 mm above the belt's origin."""
+    turned_over = np.diag([1.0, -1.0, -1.0])
+    lines = rig.rays().reshape(-1, 4)
+    start = np.column_stack([lines[:, :2], np.zeros(len(lines))]) @ turned_over + [0.0, 0.0, _NEAR_MM]
+    return start, np.column_stack([lines[:, 2:], np.ones(len(lines))]) @ turned_over
+
+
+def _met(rig: DotRig, start: Floats, way: Floats, plane: Floats, pose: tuple[Floats, Floats] | None) -> Peaks:
+    """Give the dots on a plane (3,) p·X = 1, of a board those on its squares."""
+    at = start + ((1.0 - start @ plane) / (way @ plane))[:, None] * way
+    focal = _NEAR_MM / rig.mm_per_px
+    places = at[:, :2] / at[:, 2:] * focal + [rig.middle_column, rig.middle_row]
+    if pose is not None:
+        on = (at - pose[1]) @ pose[0][:, :2] / _BOARD.pitch_mm
+        inside: Flags = np.asarray(
+            ((on > 0.02) & (on < [_BOARD.columns - 0.02, _BOARD.rows - 0.02])).all(axis=1)
+        )
+        places = np.where(inside[:, None], places, np.nan)
+    return rig.dots(places, _SCATTER_PX)

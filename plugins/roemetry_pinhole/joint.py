@@ -333,6 +333,20 @@ def _by_marks(first: FirstCamera, free: Flags) -> tuple[Adjusted, Floats]:
     return found, np.where(at >= 0, np.sqrt(np.diag(found.covariance)[np.maximum(at, 0)]), 0.0)
 
 
+def marks_and_feet(first: FirstCamera, free: Flags) -> Measured:
+    """Give what boards tell of camera, poses and belt without any light on them; one must lie on the belt."""
+    number, still = np.arange(len(first.views)), np.zeros(len(first.views))
+    none, whole = np.empty(0), np.empty(0, np.int64)
+    lies = next(view for view in number if first.views[view].on_belt)
+    feet, foot_std_mm = _feet(first.views, number, still)
+    start = Geometry(
+        first.camera, first.rotation, first.shift, np.empty((0, 3)), _under(first, lies), np.zeros(3)
+    )
+    unknowns = unknowns_of(start, free_camera=free, planes=False, belt=True, travel=False)
+    points = StripePoints(whole, whole, none, none, none, none)
+    return Measured(start, unknowns, _corners(first, number, still), points, feet, foot_std_mm)
+
+
 def _poses_tried(observed: CalibrationSet) -> int:
     return len({(one.shows, one.board, one.pose) for one in observed.observations if one.shows in _BOARDS})
 

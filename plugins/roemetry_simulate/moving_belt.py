@@ -20,9 +20,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from roemetry.config.scene_parts import Part, family_options
+from roemetry.errors import MisfitError
 from roemetry.records import Frame, ProductTruth, Simulated, Truth
 from roemetry.records import Sensor as Noise
 from roemetry.stages import Simulator, Turn
@@ -31,7 +32,7 @@ from roemetry_simulate.optics import camera_ray
 from roemetry_simulate.products import MODELS, PRODUCTS, Drawn
 from roemetry_simulate.raycast import AnyBody, first_hit_in, normal_at, sees_in
 from roemetry_simulate.render import Rig
-from roemetry_simulate.scene import RayCasterOptions, rig_of
+from roemetry_simulate.scene import RayCasterLaser, RayCasterOptions, rig_of
 from roemetry_simulate.solid import EmptyBelt, Solid
 from roemetry_simulate.targets import calibration_truth_of, take_target
 
@@ -66,6 +67,13 @@ class MovingBeltOptions(RayCasterOptions):
     """A scene whose product moves."""
 
     scan: ScanPart = Field(default_factory=ScanPart, description="the belt and the frames")
+
+    @field_validator("laser")
+    @classmethod
+    def _is_a_line(cls, laser: RayCasterLaser) -> RayCasterLaser:
+        if laser.dots is not None:
+            raise MisfitError((("dots",), "a belt scan is made of lines"))
+        return laser
 
 
 class MovingBelt(Simulator[MovingBeltOptions]):

@@ -14,7 +14,7 @@ an evenly lit disc. Left out: planes that are bent, vignetting, aberrations.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -190,6 +190,9 @@ class LaserFan:
     waist_distance_mm, divergence_mrad : float
         Where the planes are thinnest, from the projector, and how the standard deviation grows away from
         there: sqrt(sigma² + (divergence · (distance − waist))²). A plane that is wider is less bright.
+    rows : ndarray, shape (M, 5)
+        Planes n·X = d across the others, (n, d, 1), ordered along belt Y. Where there are any, light is a dot
+        where two planes meet, the product of both profiles; (0, 5): the light is lines.
     """
 
     projector_mm: Floats
@@ -201,6 +204,7 @@ class LaserFan:
     line_sigma_deg: float = 25.0
     waist_distance_mm: float = 0.0
     divergence_mrad: float = 0.0
+    rows: Floats = field(default_factory=lambda: np.empty((0, 5)))
 
     def __post_init__(self) -> None:
         if self.sigma_mm <= 0.0 or self.line_sigma_deg <= 0.0:
@@ -228,6 +232,13 @@ class LaserFan:
     def count(self) -> int:
         """Number of planes."""
         return len(self.normals)
+
+    def rays(self) -> Floats:
+        """Unit directions (N, M, 3) of the rays in whose middle dots are, away from the projector."""
+        ways = np.cross(self.normals[:, None], self.rows[None, :, :3])
+        ways *= -np.sign(ways[..., 2:])
+        unit: Floats = ways / np.linalg.norm(ways, axis=-1, keepdims=True)
+        return unit
 
     def distance_mm(self, points_mm: ArrayLike) -> Floats:
         """Signed distances n·X − d (mm), shape (..., N), of belt points, shape (..., 3), to all planes."""
@@ -268,6 +279,20 @@ def fan_through(
     normals *= np.sign(normals[:, :1])
     peak = np.broadcast_to(np.asarray(peak_grey, dtype=np.float64), feet.shape)
     return LaserFan(projector, normals, normals @ projector, axis, sigma_mm, peak, line_sigma_deg)
+
+
+def rows_through(fan: LaserFan, feet_mm: ArrayLike) -> Floats:
+    """Return the `rows` of a fan that meet the line through the origin along its lines' run at these places.
+
+    They run across the fan's lines, level. `feet_mm` increase.
+    """
+    axis = fan.line_axis
+    along = np.array([axis[0], axis[1], 0.0]) / np.hypot(axis[0], axis[1])
+    across = np.array([along[1], -along[0], 0.0])
+    normals = np.cross(across, np.outer(np.atleast_1d(feet_mm), along) - fan.projector_mm)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals *= np.sign(normals @ along)[:, None]
+    return np.column_stack([normals, normals @ fan.projector_mm, np.ones(len(normals))])
 
 
 def view_mm(camera: Camera, height_mm: float = 0.0) -> tuple[float, float, float, float]:

@@ -81,6 +81,10 @@ class RigPlanner(Planner[RayCasterOptions]):
 
     def plan(self, *, simulate: bool) -> Plan:
         """Plan the rig; raise StageError where heights do not show in its image."""
+        if self.options.laser.dots is not None:
+            raise StageError(
+                "dots cannot be planned", hint="plan the same rig with lines: leave laser.dots out"
+            )
         space = space_of(self.options)
         _refuse(space)
         bodies = bodies_of(self.options, space.rig)

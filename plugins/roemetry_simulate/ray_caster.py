@@ -21,7 +21,7 @@ from roemetry_simulate.scene import RayCasterOptions, contaminate, rig_of, surfa
 from roemetry_simulate.solid import Solid
 from roemetry_simulate.targets import calibration_truth_of, take_target
 from roemetry_simulate.truth import StripeTruth as Crossings
-from roemetry_simulate.truth import stripe_centres, stripes_show
+from roemetry_simulate.truth import dot_centres, stripe_centres, stripes_show
 
 
 class RayCaster(Simulator[RayCasterOptions]):
@@ -46,7 +46,11 @@ class RayCaster(Simulator[RayCasterOptions]):
         surface = surface_of(self.options, lying.seed)
         surface = contaminate(surface, self.options, self._rig, lying.products, lying.seed)
         pitch: Any = {"step_px": 0.5} if self.options.draft else {}
-        crossings = stripe_centres(self._rig.camera, self._rig.laser, solid, **pitch)
+        camera, laser = self._rig.camera, self._rig.laser
+        if len(laser.rows):
+            crossings = dot_centres(camera, laser, solid)
+        else:
+            crossings = stripe_centres(camera, laser, solid, **pitch)
         stripes = stripes_of(crossings, solid)
         frames = []
         for role in self.options.light.images:
@@ -104,7 +108,8 @@ def stripes_of(crossings: Crossings, solid: Solid | None = None) -> StripeTruth:
     label = np.where(np.isfinite(crossings.x_px), on_product.astype(np.int16), np.int16(-1))
     if isinstance(solid, Group):
         label[on_product] = solid.member_at(crossings.xyz_mm[on_product])
-    return StripeTruth(crossings.x_px.copy(), on_product, crossings.xyz_mm.copy(), label)
+    x_px, y_px, xyz_mm = (one.copy() for one in (crossings.x_px, crossings.y_px, crossings.xyz_mm))
+    return StripeTruth(x_px, on_product, xyz_mm, label, y_px)
 
 
 def dimmed(rig: Rig) -> Any:

@@ -126,7 +126,8 @@ def _light(
     stray = np.zeros(4) if rig.stray_mm is None else np.array([*rig.stray_mm, 1.0])
     _render_laser(
         solid.body(), camera.packed(), camera.rotation, laser.projector_mm, laser.line_axis, planes,
-        laser.packed(), stray, _maps(surface), surface.texture, _albedo(surface, surface.laser_albedo),
+        laser.rows, laser.packed(), stray, _maps(surface), surface.texture,
+        _albedo(surface, surface.laser_albedo),
         np.array(surface.below, dtype=np.float64), *surface.picture_in("laser"),
         image, np.ones(image.shape[:2], bool) if where is None else where, samples,
     )  # fmt: skip
@@ -274,7 +275,7 @@ def _speckle(rng: np.random.Generator, shape: tuple[int, ...], sensor: Sensor) -
 @kernel
 def _render_laser(
     body: AnyBody, pinhole: Floats, rotation: Floats, projector: Floats, axis: Floats, planes: Floats,
-    fan: Floats, stray: Floats, maps: Floats, texture: Floats, albedo: Floats, below: Floats,
+    rows: Floats, fan: Floats, stray: Floats, maps: Floats, texture: Floats, albedo: Floats, below: Floats,
     picture: Floats, picture_from: Floats, image: Floats, where: Flags, samples: int,
 ) -> None:  # fmt: skip
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -307,12 +308,14 @@ def _render_laser(
                         mirrored = specular(gloss, albedo[4], normal, beam, view)
                         image[row, column, 2] += share * (grey * cosine + mirrored)
                 wide = width_at(fan, projector, point)
-                light = planes_light(planes, point, normal, 0.0, wide) * (fan[0] / wide)
+                light = pattern_light(planes, rows, point, normal, 0.0, wide) * (fan[0] / wide)
                 soft = 0.0
                 if on == 1 and below[0] > 0.0:
                     spread = math.sqrt(wide * wide + below[2] * below[2])
                     soft = (
-                        below[0] * planes_light(planes, point, normal, below[1], spread) * (fan[0] / spread)
+                        below[0]
+                        * pattern_light(planes, rows, point, normal, below[1], spread)
+                        * (fan[0] / spread)
                     )
                 if light == 0.0 and soft == 0.0:
                     continue
@@ -424,6 +427,17 @@ def width_at(fan: Floats, projector: Floats, point: Floats) -> float:
         away += (point[m] - projector[m]) ** 2
     grown = fan[3] * (math.sqrt(away) - fan[2])
     return math.sqrt(fan[0] * fan[0] + grown * grown)
+
+
+@kernel
+def pattern_light(
+    planes: Floats, rows: Floats, point: Floats, normal: Floats, depth_mm: float, sigma_mm: float
+) -> float:
+    """Light of all lines, or of the dots that rows leave of them, before the angles are counted."""
+    light = planes_light(planes, point, normal, depth_mm, sigma_mm)
+    if rows.shape[0] > 0 and light > 0.0:
+        light *= planes_light(rows, point, normal, depth_mm, sigma_mm)
+    return light
 
 
 @kernel

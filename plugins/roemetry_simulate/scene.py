@@ -21,6 +21,7 @@ from roemetry.config.scene_parts import (
     CameraPart,
     LaserPart,
     LightPart,
+    Part,
     ProductPart,
     SurfacePart,
     TargetsPart,
@@ -36,6 +37,7 @@ from roemetry_simulate.optics import (
     border_px,
     fan_through,
     looking_down,
+    rows_through,
     view_mm,
 )
 from roemetry_simulate.products import MODELS, Drawn
@@ -60,11 +62,29 @@ class RayCasterProduct(ProductPart):
         return self
 
 
+class DotsPart(Part):
+    """A matrix of dots: lines across the planes of light, which leave of these only where they meet."""
+
+    lines: int = Field(default=15, ge=2, le=200, description="dots in each plane")
+    spacing_mm: float = Field(default=5.0, gt=0, le=1000, description="between them on the belt, mm")
+    centre_y_mm: float = Field(
+        default=0.0, ge=-1e5, le=1e5, description="Y of the middle one on the belt, mm"
+    )
+
+
+class RayCasterLaser(LaserPart):
+    """The projector: lines, or dots on them."""
+
+    dots: DotsPart | None = Field(
+        default=None, description="breaks every line into dots; default: whole lines"
+    )
+
+
 class RayCasterOptions(StageOptions):
     """A scene: the rig, the belt, the light, the product. The defaults are the herring roe rig."""
 
     camera: CameraPart = Field(default_factory=CameraPart, description="the camera")
-    laser: LaserPart = Field(default_factory=LaserPart, description="the projector")
+    laser: RayCasterLaser = Field(default_factory=RayCasterLaser, description="the projector")
     belt: BeltPart = Field(default_factory=BeltPart, description="the belt")
     light: LightPart = Field(default_factory=LightPart, description="all other light")
     product: RayCasterProduct = Field(default_factory=RayCasterProduct, description="what lies on the belt")
@@ -182,10 +202,14 @@ def laser_of(part: LaserPart, grey_per_e_per_ms: float) -> LaserFan:
         peak_grey=part.peak_e_per_ms * grey_per_e_per_ms * power,
         line_sigma_deg=part.fall_deg,
     )
-    return LaserFan(
-        fan.projector_mm, fan.normals, fan.offsets_mm, fan.line_axis, fan.sigma_mm, fan.peak_grey,
-        fan.line_sigma_deg, part.waist_distance_mm, 0.5 * part.divergence_mrad,
-    )  # fmt: skip
+    rows = np.empty((0, 5))
+    if isinstance(part, RayCasterLaser) and part.dots is not None:
+        dots = part.dots
+        order = np.arange(dots.lines) - 0.5 * (dots.lines - 1)
+        rows = rows_through(fan, dots.centre_y_mm + dots.spacing_mm * order)
+    return replace(
+        fan, waist_distance_mm=part.waist_distance_mm, divergence_mrad=0.5 * part.divergence_mrad, rows=rows
+    )
 
 
 def check_camera(part: CameraPart) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,56 @@ class StripeTruth:
     xyz_mm: Floats
     on_product: NDArray[np.int8]
     hits: NDArray[np.int8]
+    y_px: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    """(S, R) of dots: where down the rows each is, px; empty: the stripes are lines."""
+
+
+def dot_centres(camera: Camera, laser: LaserFan, solid: Solid) -> StripeTruth:
+    """Find where the middle of every dot's ray is seen, each in the row that it lies in.
+
+    Where rays of one plane come to lie in one row, the first of them is kept.
+    """
+    ways = laser.rays()
+    lit = _meet_rays(solid.body(), laser.projector_mm, camera.centre_mm, ways)
+    shape = laser.count, camera.height_px
+    x, y, xyz = np.full(shape, np.nan), np.full(shape, np.nan), np.full((*shape, 3), np.nan)
+    on = np.full(shape, -1, np.int8)
+    hits = np.zeros(shape, np.int8)
+    seen = camera.project(lit[..., :3])
+    row = np.rint(np.nan_to_num(seen[..., 1], nan=-1.0)).astype(np.int64)
+    inside = (
+        (row >= 0)
+        & (row < shape[1])
+        & (np.abs(seen[..., 0] - 0.5 * (camera.width_px - 1)) < 0.5 * camera.width_px)
+    )
+    for stripe, line in np.argwhere(inside & (laser.peak_grey > 0.0)[:, None]):
+        at = stripe, row[stripe, line]
+        hits[at] += 1
+        if hits[at] == 1:
+            (x[at], y[at]), xyz[at], on[at] = seen[stripe, line], lit[stripe, line, :3], lit[stripe, line, 3]
+    return StripeTruth(x, xyz, on, hits, y)
+
+
+@kernel
+def _meet_rays(body: AnyBody, projector: Floats, camera: Floats, ways: Floats) -> Floats:
+    """Give (…, 4) the point each ray meets that the camera sees, NaN if it does not, and on what it lies."""
+    reach = body.reach
+    found = np.full((ways.shape[0], ways.shape[1], 4), np.nan)
+    point, normal = np.zeros(3), np.zeros(3)
+    beam, scratch = np.zeros(3), np.zeros(3)
+    for i in range(ways.shape[0]):
+        for j in range(ways.shape[1]):
+            on = first_hit_in(body, reach, projector, ways[i, j], 1e-4, point)
+            if on < 0:
+                continue
+            normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
+            normal_at(body, on, point, normal)
+            if sees_in(body, reach, point, normal, camera, beam, scratch) == 0.0:
+                continue
+            for m in range(3):
+                found[i, j, m] = point[m]
+            found[i, j, 3] = on
+    return found
 
 
 def stripe_centres(camera: Camera, laser: LaserFan, solid: Solid, *, step_px: float = 0.125) -> StripeTruth:

@@ -134,8 +134,9 @@ class Dataset:
             return Truth(item.products)
         path = self.folder / item.stripes
         try:
-            with np.load(path) as kept:
-                fields = ("x_px", "on_product", "xyz_mm", *(("product",) if "product" in kept else ()))
+            with path.open("rb") as file, np.load(file) as kept:
+                optional = (one for one in ("product", "y_px") if one in kept)
+                fields = ("x_px", "on_product", "xyz_mm", *optional)
                 stripes = StripeTruth(**{name: kept[name] for name in fields})
         except (OSError, KeyError, ValueError) as error:
             raise DataError(f"{path}: not the truth of stripes: {error}") from error
@@ -227,14 +228,16 @@ class DatasetWriter:
 
 def save_stripes(path: Path, stripes: StripeTruth) -> None:
     """Write the truth of stripes, compressed, in float32 (a ten-thousandth of a pixel at 1,000 px)."""
+    kept: dict[str, Any] = {
+        "x_px": stripes.x_px.astype(np.float32),
+        "on_product": stripes.on_product,
+        "product": stripes.product,
+        "xyz_mm": stripes.xyz_mm.astype(np.float32),
+    }
+    if stripes.y_px.size:
+        kept["y_px"] = stripes.y_px.astype(np.float32)
     buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        x_px=stripes.x_px.astype(np.float32),
-        on_product=stripes.on_product,
-        product=stripes.product,
-        xyz_mm=stripes.xyz_mm.astype(np.float32),
-    )
+    np.savez_compressed(buffer, **kept)
     save_bytes(path, buffer.getvalue())
 
 

@@ -29,6 +29,7 @@ from roemetry.config.recipe_file import (
 from roemetry.config.resolve import ResolvedStage, StageResolver, choice_of
 from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError, DataError, RoemetryError
+from roemetry.io.remote import path_of
 from roemetry.io.yaml_source import Document, Step, read
 from roemetry.records import AcquisitionReference, Sensor
 from roemetry.records.calibration import ON_BELT, Calibration
@@ -169,6 +170,9 @@ class Recipe:
             return found
         except DataError as error:
             raise DataError(f"{self.source_place}: {error.message}", hint=error.hint) from error
+        except OSError as error:
+            why = error.strerror or str(error)
+            raise DataError(f"{self.source_place}: {error.filename or self.source_path}: {why}") from error
 
     @property
     def sensor(self) -> Sensor | None:
@@ -245,6 +249,7 @@ def _resolved(
     on_belt = calibration is not None and calibration.reference == ON_BELT and gives == "images"
     if on_belt and "aligner" not in file.stages.model_fields_set:
         stages = _with_default_aligner(stages, registry, chooser)
+    _check_pattern(stages, chooser)
     penetration = None
     if file.penetration is not None:
         try:
@@ -259,7 +264,7 @@ def _resolved(
         "product": file.product,
         "source_choice": file.source,
         "source": source,
-        "source_path": path.parent / file.source.path,
+        "source_path": path_of(file.source.path, path.parent),
         "source_place": document.place(("source", "path")),
         "calibration_path": calibration_path,
         "calibration": calibration,
@@ -310,6 +315,22 @@ def _check_needs(stages: Mapping[str, ResolvedStage], file: RecipeFile, chooser:
     for kind in sorted(grader.make().needs()):
         if getattr(file.stages, kind) is None:
             chooser.fault(f"it works on the result of the {kind}; add one", "stages", "grader")
+
+
+def _check_pattern(stages: Mapping[str, ResolvedStage], chooser: StageResolver) -> None:
+    """Note a fault where a stage is made for lines and the extractor for dots, or the other way round."""
+    first = stages.get("extractor")
+    for kind in ("aligner", "coder", "smoother", "triangulator"):
+        chosen = stages.get(kind)
+        if first is None or chosen is None:
+            continue
+        own, light = chosen.stage.capabilities.pattern, first.stage.capabilities.pattern
+        if own != light:
+            chooser.fault(
+                f"`{chosen.registered.entry.name}` is made for {own}, the extractor "
+                f"`{first.registered.entry.name}` finds {light}",
+                "stages", kind,
+            )  # fmt: skip
 
 
 def _check_count(

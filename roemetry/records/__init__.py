@@ -2,6 +2,7 @@
 
 from roemetry.records.acquisition import Acquisition, AcquisitionReference, Frame, Role, ScanLines, Sensor
 from roemetry.records.calibration import Alignment
+from roemetry.records.light import Dots, Rays
 from roemetry.records.measurement import Coding, Measurement, Status
 from roemetry.records.observations import (
     Block,
@@ -44,7 +45,7 @@ from roemetry.records.plan import (
     PlanShape,
     PlanTable,
 )
-from roemetry.records.product import Outline, Product, ProductTrace, Trace
+from roemetry.records.product import Outline, Product, ProductTrace, Trace, sight_lines
 from roemetry.records.profiles import Profiles
 from roemetry.records.reasons import Reason
 from roemetry.records.scan import Motion, ScanFigures

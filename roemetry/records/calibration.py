@@ -16,6 +16,7 @@ from roemetry.io.files import write_whole
 from roemetry.io.yaml_source import dump, read_numbers
 from roemetry.records.arrays import Checker, Floats
 from roemetry.records.display import Shown
+from roemetry.records.light import Rays
 from roemetry.records.reasons import Reason
 from roemetry.records.scan import Motion
 from roemetry.records.view import View
@@ -65,6 +66,8 @@ class Calibration(Shown):
     board in one of its poses where there is no belt."""
     motion: Motion | None = None
     """How the belt runs, where a scan of a known body has told; None where none was taken."""
+    rays: Rays | None = None
+    """Rays of a matrix of dots, whose columns the stripes then are; None where the light is in planes."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -77,6 +80,9 @@ class Calibration(Shown):
         check.require(self.reference in (ON_BELT, ON_BOARD), f"reference is {self.reference!r}")
         size = sum(array.size for array in arrays.values())
         check.array("covariance", np.float64, (size, size))
+        if self.rays is not None:
+            fits = self.rays.stripe_count == stripes and self.rays.parameters.size == size
+            check.require(fits, "rays are of another number of stripes, or of other parameters")
         check.finish()
 
     @property
@@ -169,6 +175,7 @@ class Calibration(Shown):
             "view": None if self.view is None else self.view.to_dict(),
             **({} if self.reference == ON_BELT else {"reference": self.reference}),
             **({} if self.motion is None else {"motion": self.motion.to_dict()}),
+            **({} if self.rays is None else {"rays": self.rays.to_dict()}),
         }
 
     def save(self, path: Path | str) -> None:
@@ -213,8 +220,12 @@ class Calibration(Shown):
                 view=None if data.get("view") is None else View.from_dict(data["view"], size),
                 reference=str(data.get("reference", ON_BELT)),
                 motion=None if data.get("motion") is None else Motion.from_dict(data["motion"]),
+                rays=None if data.get("rays") is None else Rays.from_dict(data["rays"]),
             )
             json.dumps([data[name] for name in _TOLD], sort_keys=True)  # words as keys
+            for name in (*data["parameters"], *data["residuals"]):
+                if not isinstance(name, str):
+                    raise TypeError(f"{name!r} is a number where a name is expected")
         except (KeyError, TypeError, ValueError, IndexError, AttributeError, DataError) as error:
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             raise CalibrationError(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from roemetry.records.arrays import Checker, Flags, Floats, Integers, Labels
 from roemetry.records.display import Shown
+from roemetry.records.light import Dots
 from roemetry.records.reasons import Reason
 
 SATURATED = 1
@@ -40,6 +41,8 @@ class Peaks(Shown):
     err independently."""
     reasons: tuple[Reason, ...] = ()
     """What a reader of the numbers must know about the extraction."""
+    dots: Dots | None = None
+    """(peak,) of dots, each in the row its centre lies in; None: peaks of lines, in the middle of a row."""
     row_start: Integers = field(init=False)
     """(row + 1,) where each row's peaks begin: those of row r are ``row_start[r]:row_start[r + 1]``."""
 
@@ -52,6 +55,7 @@ class Peaks(Shown):
             check.array(name, np.float64, (n,))
         check.array("flags", np.uint8, (n,))
         check.require(self.correlation_rows >= 0, "correlation_rows is negative")
+        check.require(self.dots is None or self.dots.y_px.shape == (n,), "dots and x_px differ in number")
         rows, columns = self.image_size
         if row.ndim == 1 and x_px.shape == row.shape and n:
             check.require(bool(row[0] >= 0 and row[-1] < rows), f"row is outside 0…{rows - 1}")
@@ -106,6 +110,9 @@ class StripeMap(Shown):
     """How far the errors of `x_px` reach along a stripe: the standard deviation, rows, of the Gaussian that
     white noise would have to be smoothed with to have their autocorrelation exp(−Δ²/(4ℓ²)); 0 where rows
     err independently."""
+    dots: Dots | None = None
+    """(stripe, row) of dots, each in the row its centre lies in; None: the stripes are lines. `x_std_px` is
+    then the error of x alone that moves the point as much as the whole error of the dot does."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -117,6 +124,7 @@ class StripeMap(Shown):
         seen = check.array("seen", np.bool_, shape)
         check.array("ambiguous", np.bool_, shape)
         check.array("peak_stripe", np.int16, (None,))
+        check.require(self.dots is None or self.dots.y_px.shape == shape, "dots and x_px differ in shape")
         check.require(self.correlation_rows >= 0, "correlation_rows is negative")
         if x_px.shape == product.shape == seen.shape:
             empty = np.isnan(x_px)

@@ -26,11 +26,15 @@ class StripeTruth:
     product: Labels = field(default_factory=lambda: np.empty((0, 0), np.int16))
     """(stripe, row) on which product it lies, 1 the first of the truth's products; 0 belt, -1 nothing. Left
     out (empty): there is one product at most."""
+    y_px: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    """(stripe, row) of dots, each in the row its centre lies in: where down the rows that is, px. Empty: the
+    stripes are lines, which cross the middle of each row."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
         x_px = check.array("x_px", np.float64, (None, None))
         on_product = check.array("on_product", np.bool_, x_px.shape)
+        check.array("y_px", np.float64, x_px.shape if self.y_px.size else (0, 0))
         check.array("xyz_mm", np.float64, (*x_px.shape, 3))
         if on_product.shape == x_px.shape:
             if self.product.size == 0:

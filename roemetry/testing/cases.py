@@ -32,6 +32,7 @@ from roemetry.stages import (
     Weigher,
 )
 from roemetry.stages.kinds import check_result_type
+from roemetry.testing.dots import DotRig
 from roemetry.testing.runs import failed, measured, run_of, volume_of
 from roemetry.testing.scenes import SEED, LinearRig, frame_of, moved_rig
 from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_from, product_of
@@ -142,7 +143,11 @@ class Cases:
 def cases_for(stage: Stage[Any]) -> Cases:
     """Make the cases for a stage of any kind, anew at each call."""
     kind = next((kind for kind, interface in INTERFACES.items() if isinstance(stage, interface)), "")
-    if kind in _CALLS:
+    if stage.capabilities.pattern == "dots" and kind in _DOTS:
+        (verb,) = INTERFACES[kind].__abstractmethods__
+        is_empty = _INPUTS[kind][1]
+        found = Cases(*(Case(inputs, _calling(verb, inputs), is_empty) for inputs in _DOTS[kind](stage)))
+    elif kind in _CALLS:
         found = _CALLS[kind](stage)
     elif kind in _INPUTS:
         (verb,) = INTERFACES[kind].__abstractmethods__
@@ -301,3 +306,43 @@ _INPUTS: dict[str, tuple[Callable[[Any], Three], Callable[[Any], bool]]] = {
     "grader": (_results, lambda decision: decision.label == "undecided"),
 }
 """By kind, the inputs of its verb, and whether a result holds nothing."""
+
+
+def _dot_frames(stage: Extractor[Any]) -> Three:
+    rig = DotRig()
+    dark = np.full((rig.rows, rig.columns), rig.background)
+    one, other = (frame_of(rig.spots(rig.places_px(heights))) for heights in (rig.hill(), rig.level()))
+    return (one,), (other,), (frame_of(dark),)
+
+
+def _dot_peaks(stage: Coder[Any]) -> Three:
+    rig = DotRig()
+    one, other, nothing = (
+        (rig.dots(rig.places_px(heights)), rig.dot_calibration())
+        for heights in (rig.hill(), rig.hill(5.0), np.full_like(rig.level(), np.nan))
+    )
+    return one, other, nothing
+
+
+def _dot_maps(stage: Triangulator[Any]) -> Three:
+    rig = DotRig()
+    calibration = calibration_for(stage, rig)
+    one, other, nothing = (
+        (rig.dot_map(heights), calibration)
+        for heights in (rig.hill(), rig.hill(5.0), np.full_like(rig.level(), np.nan))
+    )
+    return one, other, nothing
+
+
+def _dot_observations(stage: Calibrator[Any]) -> Three:
+    one, other = (calibration_set_for(stage, rig) for rig in (DotRig(), DotRig(pitch_mm=2.9)))
+    return (one,), (other,), (replace(one, observations=()),)
+
+
+_DOTS: dict[str, Callable[[Any], Three]] = {
+    "extractor": _dot_frames,
+    "coder": _dot_peaks,
+    "triangulator": _dot_maps,
+    "calibrator": _dot_observations,
+}
+"""Of stages that are made for dots, instead."""

@@ -56,7 +56,7 @@ def conformance(
         The stage cannot be imported or made, or a failure of a check is declared that its kind has not.
     """
     stage, expected = prepare_stage(registered, expected_failures, options)
-    for check in checks_of(registered.entry.kind):
+    for check in checks_of(registered.entry.kind, stage.capabilities.pattern):
         yield check, run_check(stage, check, expected.get(name_of(check)))
 
 
@@ -105,7 +105,7 @@ def prepare_stage(
             hint="give every option a default, or name a fixture in its capabilities",
         ) from error
     expected = {**cls.expected_failures, **(expected_failures or {})}
-    known = [name_of(check) for check in checks_of(entry.kind)]
+    known = [name_of(check) for check in checks_of(entry.kind, stage.capabilities.pattern)]
     for name in expected:
         if name not in known:
             close = difflib.get_close_matches(name, known, n=1)
@@ -208,7 +208,7 @@ def parametrized(
             if key in _keys(registered)
         }
         stage, expected = prepare_stage(registered, mine, (options or {}).get(entry.name))
-        for check in checks_of(entry.kind):
+        for check in checks_of(entry.kind, stage.capabilities.pattern):
             reason = expected.get(name_of(check))
             marks = () if reason is None else pytest.mark.xfail(strict=True, reason=reason)
             cases.append(pytest.param(stage, check, id=f"{of_stage}-{name_of(check)}", marks=marks))
@@ -217,7 +217,8 @@ def parametrized(
 
 def _keys(registered: Registered) -> set[str]:
     """Give the names by which a failure of a check of this stage may be declared."""
-    names = {name_of(check) for check in checks_of(registered.entry.kind)}
+    kind = registered.entry.kind
+    names = {name_of(check) for pattern in ("lines", "dots") for check in checks_of(kind, pattern)}
     return names | {f"{registered.entry.name}/{name}" for name in names}
 
 

@@ -10,6 +10,7 @@ from roemetry.stages.hookspecs import KINDS
 from roemetry.testing.checks import (
     any_stage,
     classes,
+    dots,
     extractor,
     files,
     live,
@@ -40,16 +41,25 @@ ANY: tuple[Check, ...] = any_stage.CHECKS
 OF_KIND: Mapping[str, tuple[Check, ...]] = {
     kind: found for kind in KINDS if (found := tuple(check for check in _CHECKS if _kind_of(check) == kind))
 }
+OF_DOTS: Mapping[str, tuple[Check, ...]] = {
+    kind: tuple(
+        check for name, check in vars(dots).items() if name.startswith("check_") and _kind_of(check) == kind
+    )
+    for kind in ("extractor", "coder", "calibrator", "triangulator")
+}
+"""Of stages that are made for dots, instead."""
 
 
-def checks_of(kind: str) -> tuple[Check, ...]:
+def checks_of(kind: str, pattern: str = "lines") -> tuple[Check, ...]:
     """Give the checks that a stage of this kind must pass: every stage's, then its kind's.
+
+    Stages that see the light are held to the checks of the pattern that they are made for.
 
     Of a kind that the kit has no scenes for, or that holds a connection, only those of options are taken of
     every stage's.
     """
     every = ANY if kind in OF_KIND and kind not in _CONNECTED else any_stage.OF_OPTIONS
-    return every + OF_KIND.get(kind, ())
+    return every + (OF_DOTS if pattern == "dots" else OF_KIND).get(kind, ())
 
 
 def name_of(check: Check) -> str:

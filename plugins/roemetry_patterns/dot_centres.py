@@ -1,0 +1,374 @@
+"""Maximum likelihood of each dot's centre, height and shape under the camera's noise and the laser's speckle.
+
+Model. Around a dot the light is b + a·exp(−½ rᵀ S⁻¹ r), r from the centre, S any positive definite shape: a
+round beam on a slope is an ellipse. A pixel's variance is v = s² + g·m + C²·m², with m the dot's own light,
+s what pixels beside dots scatter by, g the camera's gain and C the contrast of the speckle. Fisher scoring
+finds the seven numbers; its inverse information is their covariance, and the Cramér–Rao bound where there
+is no speckle. Speckle is alike in neighbouring pixels, which says less than independent pixels would: the
+covariance becomes N⁻¹(JᵀWΣWJ)N⁻¹, with Σ of pixels that correlate by ρ at distance 1.
+
+s comes from the dark of the image, g from the camera (if it is not known, C counts it), C and ρ from the
+residuals of some dots. A clipped pixel says nothing and is left out. What is no dot (two that have merged,
+one that an edge has cut) fits worse than noise allows; its covariance grows by as much, and beyond a limit
+it is flagged `WIDE`.
+
+It fails where dots are nearer than three of their widths: they are flagged, or found as one.
+Source: Fisher scoring as in Rao (1973), Linear Statistical Inference, 5g; the use of speckle is ours.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from roemetry.errors import DataError
+from roemetry.records import EDGE, SATURATED, WIDE, Dots, Frame, Peaks
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry_kernels.compiling import kernel
+
+_NOISES = 8.0
+"""Of the smoothed image's noise, that a dot's top rises above its surroundings."""
+_LEVELS = 4.0 / 255.0
+"""Of white, that it rises at least."""
+_FINE_PX, _COARSE_PX = 1.0, 4.0
+"""The image smoothed by the first, less that smoothed by the second, is where dots are looked for, px."""
+_REACH = 3.5
+"""Standard deviations of a dot within which pixels count: beyond them is 0.2 % of its light."""
+_RADIUS_PX = (3, 12)
+"""Least and largest radius of the pixels that count, px."""
+_APART = 0.6
+"""Of the distance to the next dot, that the radius is at most."""
+_ROUNDS = 12
+"""Steps of Fisher scoring at most: from a start within a pixel six settle."""
+_SETTLED_PX = 1e-4
+"""A step squares the error: the one that follows is the last."""
+_SAMPLE = 24
+"""Dots that tell of the speckle: each has some ten grains."""
+_CORRELATIONS = np.array([0.0, 0.3, 0.5, 0.65, 0.75])
+"""Of neighbouring pixels' speckle, that are tried."""
+_ALIKE = 3
+"""Pixels over which speckle is alike."""
+_WIDTHS = (0.5, 2.0)
+"""Of the dots' usual size, that one can be: a sphere's flank at 75° draws its dot out to the double."""
+_MISFIT_MAX = 3.0
+"""Times the noise that residuals can be: merged dots reach ten and more."""
+_FWHM = 2.3548200450309493
+
+
+class DotCentresOptions(StageOptions):
+    """What counts as a dot."""
+
+    amplitude_min: float | None = Field(
+        default=None, gt=0.0, le=65535.0, description="least height of a dot, grey levels; default: by noise"
+    )
+    width_max_px: float = Field(
+        default=12.0, ge=2.0, le=24.0, description="largest full width at half height of a dot, px"
+    )
+
+
+class DotCentres(Extractor[DotCentresOptions]):
+    """Fits an elliptical Gaussian to each dot, weighted by each pixel's noise."""
+
+    Options: ClassVar[type[StageOptions]] = DotCentresOptions
+    capabilities = Capabilities(tolerance_px=0.02, saturated_tolerance_px=0.3, pattern="dots")
+
+    def extract(self, frame: Frame) -> Peaks:
+        """Find the dots of a frame of one channel; DataError where it has colours."""
+        if frame.pixels.ndim != 2:
+            raise DataError("the frame has colours, expected one channel", hint="set source.channel")
+        image = np.ascontiguousarray(frame.pixels, np.float64)
+        starts, noise = found_dots(image, frame.white, self.options.amplitude_min)
+        gain = math.nan if frame.sensor is None else frame.sensor.gain_grey_per_electron
+        fit = fitted_dots(image, float(frame.white), starts, noise, gain)
+        return _peaks(fit, frame, self.options.width_max_px)
+
+
+class Fit(NamedTuple):
+    """Dots as fitted."""
+
+    values: Floats
+    """(dot, 7) x, y, height, background, then S: xx, xy, yy."""
+    covariance: Floats
+    """(dot, 2, 2) of x and y, px²."""
+    misfit: Floats
+    """(dot,) root mean square of the residuals over their noise; NaN where the fit has failed."""
+    clipped: Flags
+    """(dot,) True where pixels near the middle are white."""
+
+
+def found_dots(image: Floats, white: int, amplitude_min: float | None = None) -> tuple[Floats, float]:
+    """Find tops of the image, (n, 3) x, y and height over the surroundings, and the noise of a dark pixel."""
+    from scipy.ndimage import gaussian_filter, maximum_filter
+
+    if min(image.shape) < 2 * _RADIUS_PX[0] + 1:
+        return np.empty((0, 3)), 1.0
+    # of rounded grey levels that hardly scatter, the rounding is what remains
+    noise = max(1.4826 * float(np.median(np.abs(np.diff(image, axis=1)))) / math.sqrt(2.0), 0.3)
+    raised = gaussian_filter(image, _FINE_PX) - gaussian_filter(image, _COARSE_PX)
+    least = max(_NOISES * noise / (2.0 * math.sqrt(math.pi) * _FINE_PX), _LEVELS * white)
+    if amplitude_min is not None:
+        least = 0.5 * amplitude_min
+    top = (raised > least) & (raised == maximum_filter(raised, 5))
+    row, column = np.nonzero(top)
+    return np.column_stack([column, row, raised[top]]).astype(np.float64), noise
+
+
+def fitted_dots(image: Floats, white: float, starts: Floats, noise: float, gain: float) -> Fit:
+    """Fit all dots, twice: the first time tells of their size, of the gain (if it is NaN) and the speckle."""
+    count = len(starts)
+    values = np.column_stack(
+        [starts, np.zeros(count), np.full(count, 2.0), np.zeros(count), np.full(count, 2.0)]
+    )
+    if not count:
+        return Fit(values, np.empty((0, 2, 2)), np.empty(0), np.empty(0, np.bool_))
+    radius = np.full(count, 5)
+    given = np.array([noise**2, 0.0 if math.isnan(gain) else gain, 0.0, 0.0])
+    _start(image, values, radius)
+    values, *_ = _fit(image, white, values, radius, given, _ROUNDS)
+    size = np.sqrt(np.nanmedian(values[:, 4] + values[:, 6]) / 2.0)
+    radius = _radii(values[:, :2], float(size) if math.isfinite(size) else 1.5)
+    values, _, misfit, clipped = _fit(image, white, values, radius, given, _ROUNDS)
+    told = np.flatnonzero(np.isfinite(misfit) & ~clipped)
+    if told.size:
+        told = told[np.unique(np.linspace(0, told.size - 1, _SAMPLE).astype(np.int64))]
+        given[2:] = _speckle(image, values[told], radius[told], given)
+    return Fit(*_fit(image, white, values, radius, given, _ROUNDS))
+
+
+def _radii(xy: Floats, size_px: float) -> Integers:
+    from scipy.spatial import cKDTree
+
+    radius = np.full(len(xy), _REACH * size_px)
+    known = np.isfinite(xy).all(axis=1)
+    if known.sum() > 1:
+        near = cKDTree(xy[known]).query(xy[known], 2)[0][:, 1]
+        radius[known] = np.minimum(radius[known], _APART * near)
+    return np.clip(np.rint(radius), *_RADIUS_PX).astype(np.int64)
+
+
+def _speckle(image: Floats, values: Floats, radius: Integers, given: Floats) -> tuple[float, float]:
+    """Give squared contrast of the speckle and its correlation from one pixel to the next.
+
+    With A = 1 − J N⁻¹ JᵀW the residuals' covariance is AΣAᵀ: the fit takes away more of speckle that is alike
+    in neighbours than of white noise. So squares and products of neighbours' residuals are compared with what
+    is expected of noise alone, and of speckle of each correlation.
+    """
+    seen, dark = np.zeros(2), np.zeros(2)
+    alike = np.zeros((_CORRELATIONS.size, 2))
+    for p, r in zip(values, radius.tolist(), strict=True):
+        x0, y0 = int(np.rint(p[0])), int(np.rint(p[1]))
+        y, x = np.mgrid[max(y0 - r, 0) : y0 + r + 1, max(x0 - r, 0) : x0 + r + 1]
+        inside = ((x - x0) ** 2 + (y - y0) ** 2 <= r * r) & (y < image.shape[0]) & (x < image.shape[1])
+        x, y = x[inside], y[inside]
+        u, v = x - p[0], y - p[1]
+        shape = np.linalg.inv(np.array([[p[4], p[5]], [p[5], p[6]]]))
+        tu, tv = shape[0, 0] * u + shape[0, 1] * v, shape[1, 0] * u + shape[1, 1] * v
+        form = np.exp(-0.5 * (u * tu + v * tv))
+        m = p[2] * form
+        slope = np.column_stack(
+            [m * tu, m * tv, form, 1.0 + 0.0 * m, 0.5 * m * tu**2, m * tu * tv, 0.5 * m * tv**2]
+        )
+        variance = given[0] + given[1] * m
+        weighted = slope / variance[:, None]
+        left = np.eye(m.size) - slope @ np.linalg.solve(slope.T @ weighted, weighted.T)
+        off = image[y, x] - p[3] - m
+        light = m / p[2]
+        square = light**2
+        apart = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
+        beside = np.where(apart == 1, light[:, None] * light, 0.0)
+        seen += square @ off**2, off @ beside @ off
+        for into, sigma in (
+            (dark, np.diag(variance)),
+            *zip(alike, m[:, None] * m * _CORRELATIONS[:, None, None] ** apart, strict=True),
+        ):
+            made = left @ sigma @ left.T
+            into += square @ np.diag(made), (beside * made).sum()
+    over = seen - dark
+    if over[0] <= 0.0:
+        return 0.0, 0.0
+    best = int(np.abs(over[1] / over[0] - alike[:, 1] / alike[:, 0]).argmin())
+    return float(over[0] / alike[best, 0]), float(_CORRELATIONS[best])
+
+
+def _peaks(fit: Fit, frame: Frame, width_max_px: float) -> Peaks:
+    rows, columns = frame.size
+    x, y, amplitude = fit.values[:, 0], fit.values[:, 1], fit.values[:, 2]
+    across, along = fit.values[:, 4], fit.values[:, 6]
+    with np.errstate(invalid="ignore"):
+        inside = (x >= 0.0) & (x <= columns - 1.0) & (y >= 0.0) & (y <= rows - 1.0)
+        width = _FWHM * np.sqrt(np.maximum(across, along))
+        kept = np.flatnonzero(inside & (amplitude > 0.0) & np.isfinite(fit.misfit) & (width <= width_max_px))
+    kept = _once(fit.values, kept)
+    row = np.rint(y[kept]).astype(np.int64)
+    kept = kept[np.lexsort((x[kept], row))]
+    row, size = np.rint(y[kept]).astype(np.int64), 0.5 * (across + along)[kept]
+    usual = float(np.median(size)) if size.size else 1.0
+    odd = (fit.misfit[kept] > _MISFIT_MAX) | (size < _WIDTHS[0] * usual) | (size > _WIDTHS[1] * usual)
+    reach = _REACH * np.sqrt(np.maximum(across, along)[kept])
+    edge = (np.minimum(x[kept], columns - 1.0 - x[kept]) < reach) | (
+        np.minimum(y[kept], rows - 1.0 - y[kept]) < reach
+    )
+    covariance = fit.covariance[kept] * np.maximum(fit.misfit[kept], 1.0)[:, None, None] ** 2
+    return Peaks(
+        image_size=(rows, columns),
+        row=row,
+        x_px=x[kept],
+        x_std_px=np.sqrt(covariance[:, 0, 0]),
+        amplitude=amplitude[kept],
+        background=fit.values[kept, 3],
+        width_px=_FWHM * np.sqrt(across[kept]),
+        flags=(SATURATED * fit.clipped[kept] + EDGE * edge + WIDE * odd).astype(np.uint8),
+        dots=Dots(y[kept], covariance, np.full(kept.size, -1, np.int16)),
+    )
+
+
+def _once(values: Floats, kept: Integers) -> Integers:
+    """Leave out fits that have come to the same place as a brighter one."""
+    from scipy.spatial import cKDTree
+
+    if kept.size < 2:
+        return kept
+    pairs = cKDTree(values[kept, :2]).query_pairs(1.0, output_type="ndarray")
+    weaker = np.where(values[kept[pairs[:, 0]], 2] < values[kept[pairs[:, 1]], 2], pairs[:, 0], pairs[:, 1])
+    return np.delete(kept, np.unique(weaker))
+
+
+@kernel
+def _start(image: Floats, values: Floats, radius: Integers) -> None:
+    """Write first heights and backgrounds: the top's pixel over the least one around."""
+    rows, columns = image.shape
+    for i in range(values.shape[0]):
+        column, row, r = int(values[i, 0]), int(values[i, 1]), radius[i]
+        low = image[row, column]
+        for y in range(max(row - r, 0), min(row + r + 1, rows)):
+            for x in range(max(column - r, 0), min(column + r + 1, columns)):
+                low = min(low, image[y, x])
+        values[i, 3] = low
+        values[i, 2] = max(image[row, column] - low, 1.0)
+
+
+@kernel
+def _fit(
+    image: Floats, white: float, values: Floats, radius: Integers, given: Floats, rounds: int
+) -> tuple[Floats, Floats, Floats, Flags]:
+    """Fisher scoring of each dot; `given` are s², g, C² and the speckle's correlation at distance 1."""
+    count = values.shape[0]
+    found = values.copy()
+    covariance = np.full((count, 2, 2), np.nan)
+    misfit = np.full(count, np.nan)
+    clipped = np.zeros(count, np.bool_)
+    rows, columns = image.shape
+    for i in range(count):
+        p = values[i].copy()
+        if not np.isfinite(p[0]):
+            continue
+        r = radius[i]
+        # the pixels are those about the place where the search began, so that the sum does not jump
+        middle_x, middle_y = int(np.rint(p[0])), int(np.rint(p[1]))
+        x0, x1 = max(middle_x - r, 0), min(middle_x + r + 1, columns)
+        y0, y1 = max(middle_y - r, 0), min(middle_y + r + 1, rows)
+        many = (x1 - x0) * (y1 - y0)
+        if many < 20:
+            continue
+        slope = np.zeros((many, 7))
+        light, weight, off = np.zeros(many), np.zeros(many), np.zeros(many)
+        normal = np.zeros((7, 7))
+        sound, settled = True, False
+        for step in range(rounds + 1):
+            normal[:] = 0.0
+            right = np.zeros(7)
+            determinant = p[4] * p[6] - p[5] * p[5]
+            if not (determinant > 0.01 and p[4] > 0.05 and p[6] > 0.05 and p[4] + p[6] < 300.0):
+                sound = False
+                break
+            ia, ib, ic = p[6] / determinant, -p[5] / determinant, p[4] / determinant
+            squares, used = 0.0, 0
+            for y in range(y0, y1):
+                for x in range(x0, x1):
+                    k = (y - y0) * (x1 - x0) + x - x0
+                    weight[k] = 0.0
+                    if (x - middle_x) ** 2 + (y - middle_y) ** 2 > (r + 0.5) ** 2:
+                        continue
+                    if image[y, x] >= white:
+                        if (x - p[0]) ** 2 + (y - p[1]) ** 2 < 2.0 * (p[4] + p[6]):
+                            clipped[i] = True
+                        continue
+                    u, v = x - p[0], y - p[1]
+                    tu, tv = ia * u + ib * v, ib * u + ic * v
+                    shape = math.exp(-0.5 * (u * tu + v * tv))
+                    m = p[2] * shape
+                    light[k] = m
+                    variance = given[0] + given[1] * max(m, 0.0) + given[2] * m * m
+                    weight[k] = 1.0 / variance
+                    off[k] = image[y, x] - p[3] - m
+                    slope[k, 0], slope[k, 1], slope[k, 2], slope[k, 3] = m * tu, m * tv, shape, 1.0
+                    slope[k, 4], slope[k, 5], slope[k, 6] = 0.5 * m * tu * tu, m * tu * tv, 0.5 * m * tv * tv
+                    squares += weight[k] * off[k] * off[k]
+                    used += 1
+                    for a in range(7):
+                        right[a] += weight[k] * slope[k, a] * off[k]
+                        for b in range(a + 1):
+                            normal[a, b] += weight[k] * slope[k, a] * slope[k, b]
+            if used < 12:
+                sound = False
+                break
+            for a in range(7):
+                for b in range(a):
+                    normal[b, a] = normal[a, b]
+                normal[a, a] *= 1.0 + 1e-9
+            misfit[i] = math.sqrt(squares / (used - 7))
+            if settled or step == rounds:
+                break
+            change = np.linalg.solve(normal, right)
+            settled = max(abs(change[0]), abs(change[1])) < _SETTLED_PX
+            # a start may be far off: no step goes farther than a pixel or changes a size by more than half
+            share = min(1.0, 1.0 / max(abs(change[0]), abs(change[1]), 1e-9))
+            share = min(share, 0.5 * p[4] / max(abs(change[4]), 1e-9), 0.5 * p[6] / max(abs(change[6]), 1e-9))
+            for a in range(7):
+                p[a] += share * change[a]
+            if abs(p[0] - middle_x) > r or abs(p[1] - middle_y) > r:
+                sound = False
+                break
+        if not sound:
+            misfit[i] = np.nan
+            continue
+        inverse = np.linalg.inv(normal)
+        if given[2] > 0.0 and given[3] > 0.0:
+            shared = _shared(light, weight, slope, inverse, x1 - x0, given)
+            inverse[:2, :2] += shared
+        found[i] = p
+        for a in range(2):
+            for b in range(2):
+                covariance[i, a, b] = inverse[a, b]
+    return found, covariance, misfit, clipped
+
+
+@kernel
+def _shared(
+    light: Floats, weight: Floats, slope: Floats, inverse: Floats, across: int, given: Floats
+) -> Floats:
+    """What speckle that neighbouring pixels share, ρ^(Δ²), adds to the covariance of x and y."""
+    added = np.zeros((2, 2))
+    down = light.size // across
+    pull = np.zeros((light.size, 2))  # how a pixel moves the centre, times its light
+    for k in range(light.size):
+        for a in range(2):
+            for b in range(7):
+                pull[k, a] += inverse[a, b] * slope[k, b] * weight[k] * light[k]
+    for y in range(down):
+        for x in range(across):
+            k = y * across + x
+            for v in range(max(y - _ALIKE, 0), min(y + _ALIKE + 1, down)):
+                for u in range(max(x - _ALIKE, 0), min(x + _ALIKE + 1, across)):
+                    n = v * across + u
+                    if n == k:
+                        continue
+                    share = given[2] * given[3] ** ((u - x) ** 2 + (v - y) ** 2)
+                    for a in range(2):
+                        for b in range(2):
+                            added[a, b] += share * pull[k, a] * pull[n, b]
+    return added

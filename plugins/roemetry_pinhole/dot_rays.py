@@ -1,0 +1,376 @@
+"""Rays of a matrix of dots, and triangulation by them.
+
+A dot on a board in a known pose is a point of its ray; a line through the points of many boards is the ray.
+The marks of the boards and all dots are adjusted together: with u what marks tell (camera, poses, belt;
+covariance C from their own adjustment) and r a ray's four numbers, the squares of the dots' residuals over
+their covariance and of u's step over C are made smallest by Gauss and Newton's method. Each ray depends on
+u alone, so it is eliminated (Triggs, McLauchlan, Hartley and Fitzgibbon 2000, section 6).
+
+What rays err by together is kept as what it depends on: the camera and the belt, and a few directions of
+the rest (poses that all rays were found on). What is left is each ray's own. So a matrix of 400 dots needs
+some twenty parameters with a covariance, not 1,600.
+
+In triangulation the point is the place on the dot's ray whose image lies nearest the dot, by the
+covariances of dot and ray (`roemetry.records.light`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roemetry.errors import CalibrationError, StageError
+from roemetry.records import Profiles, Rays, StripeMap
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.records.calibration import Calibration
+from roemetry.records.light import at_height, meet
+from roemetry.records.view import View
+from roemetry.stages import Capabilities, StageOptions, Triangulator
+from roemetry_pinhole.bundle import Adjusted
+from roemetry_pinhole.geometry import ON_BELT, Geometry, Unknowns, distort
+from roemetry_pinhole.geometry import rays as sight
+from roemetry_pinhole.pinhole_plane import belt_pose
+
+METHOD = "pinhole-dots"
+_ROUNDS = 3
+"""Gauss–Newton steps: the marks' adjustment is the start, and near."""
+_OFF_MAX = 5.0
+"""Standard deviations beyond which a dot is left out: print under it, or another dot's light."""
+_OFF_LEAST_PX = 0.3
+"""Nearer than this a dot is never left out, px."""
+_SURFACES_MIN = 3
+"""Surfaces that a ray is seen on: two determine it, a third shows whether they agree."""
+_SHARED = 6
+"""Directions in which rays err together beside camera and belt."""
+_UP_MM = 30.0
+"""Height at which a slope's error is compared with a place's, mm: half of what is measured."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DotPoints:
+    """Dots on boards and on the belt."""
+
+    pose: Integers
+    """(point,) pose of the board, or `ON_BELT`."""
+    ray: Integers
+    """(point,) which dot: stripe · lines + line."""
+    xy_px: Floats
+    covariance_px2: Floats
+    """xy_px, covariance_px2: (point, 2), (point, 2, 2) where it is seen."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FoundRays:
+    """What the adjustment of dots gives."""
+
+    geometry: Geometry
+    """Camera, poses and belt, moved by what dots tell."""
+    lines: Floats
+    """(ray, 4) in the belt frame; NaN of rays that are seen on too few surfaces."""
+    covariance: Floats
+    """(unknown, unknown) of the marks' unknowns."""
+    own: Floats
+    """(ray, 4, 4) covariance with those unknowns held fixed."""
+    by_unknown: Floats
+    """(ray, 4, unknown) how rays follow them."""
+    residual_px: Floats
+    """(point, 2)"""
+    used: Flags
+    """(point,)"""
+    factor: float
+    """Noise of the dots over what their covariance states."""
+
+
+def adjusted_rays(marks: Adjusted, points: DotPoints, count: int) -> FoundRays:
+    """Adjust rays, and with them camera, poses and belt.
+
+    Raises
+    ------
+    CalibrationError
+        No ray is seen on enough surfaces.
+    """
+    geometry, unknowns = marks.geometry, marks.unknowns
+    information = np.linalg.inv(marks.covariance)
+    used = np.ones(points.ray.size, np.bool_)
+    total, factor = np.zeros(unknowns.count), 1.0
+    for step in range(_ROUNDS):
+        used &= _often(points, used, count)
+        if not used.any():
+            raise CalibrationError(
+                f"no dot is seen on {_SURFACES_MIN} surfaces",
+                hint="hold the board under all of the pattern, in ten poses and more",
+            )
+        lines = _lines_through(geometry, points, used, count)
+        weight: Floats = np.asarray(np.linalg.inv(points.covariance_px2), np.float64)
+        for _ in range(2):
+            residual, by_ray = _by_ray(geometry, lines, points)
+            lines = lines + _eliminated(by_ray, weight, residual, points.ray, used, count)[0]
+        residual, by_ray = _by_ray(geometry, lines, points)
+        used, factor = _judged(residual, points, used)
+        used &= _often(points, used, count)
+        weight = np.where(used[:, None, None], weight / factor**2, 0.0)
+        by_unknown = _by_unknown(geometry, unknowns, marks.covariance, lines, points)
+        change, own, follow = _eliminated(by_ray, weight, residual, points.ray, used, count, by_unknown)
+        # what is left of a dot's residual, and of its derivatives, once its ray has followed
+        rest = np.where(used[:, None], residual - np.einsum("nij,nj->ni", by_ray, change[points.ray]), 0.0)
+        apart = np.where(used[:, None, None], by_unknown + by_ray @ follow[points.ray], 0.0)
+        normal = information + np.einsum("nia,nij,njb->ab", apart, weight, apart, optimize=True)
+        covariance = np.linalg.inv(normal)
+        if step < _ROUNDS - 1:
+            right = np.einsum("nia,nij,nj->a", apart, weight, rest, optimize=True) - information @ total
+            total = total + covariance @ right
+            geometry = unknowns.moved(geometry, covariance @ right)
+    return FoundRays(geometry, lines, covariance, own, follow, residual, used, factor)
+
+
+def rays_of(found: FoundRays, unknowns: Unknowns, stripes: int) -> tuple[Rays, dict[str, Floats], Floats]:
+    """Give rays, the calibration's parameters and their covariance."""
+    at = np.concatenate([unknowns.camera, unknowns.belt])
+    free = at[at >= 0]
+    known = found.covariance[np.ix_(free, free)]
+    # what the rays do if camera and belt are told, and what they err by if these are
+    gain = found.covariance[:, free] @ np.linalg.pinv(known, hermitian=True)
+    rest = found.covariance - gain @ found.covariance[free]
+    size, turned = np.linalg.eigh(0.5 * (rest + rest.T))
+    root = turned * np.sqrt(np.maximum(size, 0.0))
+    weights = np.array([1.0, 1.0, _UP_MM, _UP_MM])
+    moves = found.by_unknown @ root
+    seen = np.isfinite(moves[:, 0, 0])
+    flat = (moves[seen] * weights[:, None]).reshape(-1, root.shape[1])
+    shared = np.linalg.svd(flat, full_matrices=False)[2][:_SHARED].T
+    by_shared = moves @ shared
+    left = moves - by_shared @ shared.T
+    own = found.own + left @ left.transpose(0, 2, 1)
+    by_parameter = np.zeros((len(found.lines), 4, at.size + _SHARED))
+    by_parameter[:, :, : at.size][:, :, at >= 0] = found.by_unknown @ gain
+    by_parameter[:, :, at.size :] = by_shared
+    # the file is three quarters of it: more digits than seven say nothing of a derivative
+    by_parameter = np.array([float(f"{one:.7g}") for one in by_parameter.ravel()]).reshape(by_parameter.shape)
+    covariance = np.eye(at.size + _SHARED)
+    covariance[: at.size, : at.size] = 0.0
+    covariance[np.ix_(np.flatnonzero(at >= 0), np.flatnonzero(at >= 0))] = known
+    geometry = found.geometry
+    parameters = {
+        "focal_px": geometry.camera[:2],
+        "principal_px": geometry.camera[2:4],
+        "distortion": geometry.camera[4:],
+        "belt_per_mm": geometry.belt,
+        "shared_by_rays": np.zeros(_SHARED),
+    }
+    shape = (stripes, len(found.lines) // stripes)
+    rays = Rays(
+        found.lines.reshape(*shape, 4),
+        own.reshape(*shape, 4, 4),
+        by_parameter.reshape(*shape, 4, -1),
+        np.concatenate(list(parameters.values())),
+    )
+    return rays, parameters, covariance
+
+
+def view_of(parameters: dict[str, Floats], lines: Floats, image_size: tuple[int, int]) -> View:
+    """Give the camera, and a plane through the rays of each column, belt frame."""
+    focal, middle = parameters["focal_px"], parameters["principal_px"]
+    return View(
+        image_size=image_size,
+        camera_matrix=np.array([[focal[0], 0.0, middle[0]], [0.0, focal[1], middle[1]], [0.0, 0.0, 1.0]]),
+        T_belt_camera=belt_pose(parameters["belt_per_mm"]),
+        planes=np.array([_plane(column) for column in lines]),
+        distortion=parameters["distortion"],
+        projector_mm=_common_point(lines.reshape(-1, 4)),
+    )
+
+
+def _plane(lines: Floats) -> Floats:
+    """Give n, d of the plane nearest to rays, normal towards +X."""
+    lines = lines[np.isfinite(lines[:, 0])]
+    points = np.concatenate([at_height(lines, 0.0), at_height(lines, _UP_MM)])
+    middle = points.mean(axis=0)
+    normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
+    normal = normal * (1.0 if normal[0] >= 0.0 else -1.0)
+    return np.append(normal, normal @ middle)
+
+
+def _common_point(lines: Floats) -> Floats:
+    """Give the point nearest to all rays."""
+    lines = lines[np.isfinite(lines[:, 0])]
+    way = np.column_stack([lines[:, 2:], np.ones(len(lines))])
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    across = np.eye(3) - way[:, :, None] * way[:, None, :]
+    return np.linalg.solve(across.sum(axis=0), (across @ at_height(lines, 0.0)[:, :, None]).sum(axis=0)[:, 0])
+
+
+class PinholeDots(Triangulator[StageOptions]):
+    """Each dot's place on its ray, nearest to the dot in the image, by the covariances of both."""
+
+    capabilities = Capabilities(pattern="dots", fixture="roemetry_pinhole.conformance:dots_of")
+
+    def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
+        """Give a slice for each column of dots, each point in the row its dot lies in.
+
+        Raises
+        ------
+        StageError
+            The calibration has no rays, the map no dots, or they are of another number of stripes or rows.
+        """
+        rays, dots = calibration.rays, stripes.dots
+        if rays is None or dots is None:
+            what = "the calibration has no rays" if rays is None else "the stripes are lines, not dots"
+            raise StageError(f"{what}: pinhole-dots triangulates dots", hint="calibrate with pinhole-dots")
+        if stripes.stripe_count != calibration.stripe_count:
+            raise StageError(
+                f"{stripes.stripe_count} columns of dots are labelled, the calibration has "
+                f"{calibration.stripe_count}"
+            )
+        if stripes.rows != calibration.image_size[0]:
+            raise StageError(
+                f"the stripes have {stripes.rows} rows, the calibration's images {calibration.image_size[0]}"
+            )
+        lines = rays.moved(calibration.parameters)
+        view = view_of(dict(calibration.parameters), lines, calibration.image_size)
+        stripe, row = np.nonzero(np.isfinite(stripes.x_px) & (dots.line >= 0))
+        at = dots.line[stripe, row]
+        xy_px = np.column_stack([stripes.x_px[stripe, row], dots.y_px[stripe, row]])
+        met = meet(
+            view, lines[stripe, at], xy_px, dots.covariance_px2[stripe, row], rays.covariance[stripe, at]
+        )
+        shape = stripes.x_px.shape
+        xyz_mm, height_std_mm = np.full((*shape, 3), np.nan), np.full(shape, np.nan)
+        xyz_mm[stripe, row] = at_height(lines[stripe, at], met.z_mm)
+        height_std_mm[stripe, row] = met.z_std_mm
+        known = np.isfinite(xyz_mm).all(axis=2)
+        xyz_mm[~known] = np.nan
+        return Profiles(
+            xyz_mm=xyz_mm,
+            product=np.where(known, stripes.product, -1).astype(np.int16),
+            seen=stripes.seen & known,
+            x_px=np.where(known, stripes.x_px, np.nan),
+            row_px=np.where(known, dots.y_px, np.nan),
+            height_std_mm=height_std_mm,
+            stripe=np.arange(shape[0]),
+            frame=np.zeros(shape[0], np.int64),
+            plane=view.planes,
+        )
+
+    def view(self, calibration: Calibration) -> View | None:
+        """Give the view of the calibration's own parameters, so that a redrawn one moves it."""
+        if calibration.rays is None:
+            return calibration.view
+        lines = calibration.rays.moved(calibration.parameters)
+        return view_of(dict(calibration.parameters), lines, calibration.image_size)
+
+
+def surface_of(geometry: Geometry, pose: Integers) -> Floats:
+    """Give (n, 3) p·X = 1 in the camera's frame of the surfaces of poses, or the belt."""
+    normal = geometry.rotation[:, :, 2]
+    boards = normal / (normal * geometry.shift).sum(axis=1)[:, None]
+    return np.where((pose == ON_BELT)[:, None], geometry.belt, boards[np.maximum(pose, 0)])
+
+
+def places_of(geometry: Geometry, points: DotPoints) -> Floats:
+    """Give (n, 3) where the dots lie, belt frame, mm."""
+    ray = sight(geometry.camera, points.xy_px)
+    depth = 1.0 / (ray * surface_of(geometry, points.pose)).sum(axis=1)
+    pose = belt_pose(geometry.belt)
+    return np.asarray((ray * depth[:, None]) @ pose[:3, :3].T + pose[:3, 3])
+
+
+def _predicted(geometry: Geometry, lines: Floats, points: DotPoints) -> Floats:
+    """Give (n, 2) where rays (ray, 4) meet the surfaces, px."""
+    pose = belt_pose(geometry.belt)
+    mine = lines[points.ray]
+    start = (at_height(mine, 0.0) - pose[:3, 3]) @ pose[:3, :3]
+    way = np.column_stack([mine[:, 2:], np.ones(len(mine))]) @ pose[:3, :3]
+    surface = surface_of(geometry, points.pose)
+    along = (1.0 - (start * surface).sum(axis=1)) / (way * surface).sum(axis=1)
+    place = start + along[:, None] * way
+    bent = distort(place[:, :2] / place[:, 2:], geometry.camera[4:]).xy
+    return np.asarray(bent * geometry.camera[:2] + geometry.camera[2:4])
+
+
+_RAY_STEPS = np.diag([1e-3, 1e-3, 1e-5, 1e-5])
+"""Steps of a ray's numbers for derivatives: all some 0.003 px."""
+
+
+def _by_ray(geometry: Geometry, lines: Floats, points: DotPoints) -> tuple[Floats, Floats]:
+    """Give (n, 2) seen less predicted, px, and (n, 2, 4) the prediction's derivatives by the ray."""
+    here = _predicted(geometry, lines, points)
+    columns = [(_predicted(geometry, lines + step, points) - here) / step.sum() for step in _RAY_STEPS]
+    return points.xy_px - here, np.stack(columns, axis=2)
+
+
+def _by_unknown(
+    geometry: Geometry, unknowns: Unknowns, covariance: Floats, lines: Floats, points: DotPoints
+) -> Floats:
+    """Give (n, 2, unknown) the prediction's derivatives by what marks tell; steps of a tenth of its error."""
+    found = np.zeros((points.ray.size, 2, unknowns.count))
+    for number, std in enumerate(np.sqrt(np.diag(covariance)).tolist()):
+        step = np.zeros(unknowns.count)
+        step[number] = 0.1 * std
+        above, below = (
+            _predicted(unknowns.moved(geometry, sign * step), lines, points) for sign in (1.0, -1.0)
+        )
+        found[:, :, number] = (above - below) / (0.2 * std)
+    return np.nan_to_num(found)
+
+
+def _often(points: DotPoints, used: Flags, count: int) -> Flags:
+    """Say which points are of rays that are seen on enough surfaces."""
+    pairs = np.unique(np.column_stack([points.ray[used], points.pose[used]]), axis=0)
+    return np.asarray(np.bincount(pairs[:, 0], minlength=count)[points.ray] >= _SURFACES_MIN)
+
+
+def _lines_through(geometry: Geometry, points: DotPoints, used: Flags, count: int) -> Floats:
+    """Give (ray, 4) lines through the points of each ray, by least squares over Z."""
+    place, ray = places_of(geometry, points)[used], points.ray[used]
+
+    def summed(values: Floats) -> Floats:
+        return np.asarray(np.bincount(ray, values, minlength=count), np.float64)
+
+    x, y, z = place.T
+    n, sz, szz = summed(np.ones_like(z)), summed(z), summed(z * z)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        below = n * szz - sz * sz
+        slopes = [(n * summed(v * z) - summed(v) * sz) / below for v in (x, y)]
+        feet = [(summed(v) - slope * sz) / n for v, slope in zip((x, y), slopes, strict=True)]
+        found = np.column_stack([*feet, *slopes])
+    return np.where(n[:, None] >= _SURFACES_MIN, found, np.nan)
+
+
+def _eliminated(
+    by_ray: Floats,
+    weight: Floats,
+    residual: Floats,
+    ray: Integers,
+    used: Flags,
+    count: int,
+    by_unknown: Floats | None = None,
+) -> tuple[Floats, Floats, Floats]:
+    """Solve each ray alone: its (ray, 4) step, its covariance, and how it follows the unknowns."""
+    pull = np.einsum("nia,nij->naj", by_ray, np.where(used[:, None, None], weight, 0.0))
+    normal, right = np.zeros((count, 4, 4)), np.zeros((count, 4))
+    usable = used & np.isfinite(pull).all(axis=(1, 2))
+    np.add.at(normal, ray[usable], (pull @ by_ray)[usable])
+    np.add.at(right, ray[usable], np.einsum("naj,nj->na", pull, residual)[usable])
+    sound = np.linalg.cond(normal + 0.0) < 1e14
+    sound &= np.abs(normal).max(axis=(1, 2)) > 0.0
+    covariance = np.full((count, 4, 4), np.nan)
+    covariance[sound] = np.linalg.inv(normal[sound])
+    step = np.einsum("nab,nb->na", covariance, right)
+    if by_unknown is None:
+        return step, covariance, np.empty(0)
+    follow = np.zeros((count, 4, by_unknown.shape[2]))
+    np.add.at(follow, ray[usable], (pull @ by_unknown)[usable])
+    return step, covariance, -covariance @ follow
+
+
+def _judged(residual: Floats, points: DotPoints, used: Flags) -> tuple[Flags, float]:
+    """Say which dots are not far off, and how much more they scatter than their covariance says."""
+    weight = np.linalg.inv(points.covariance_px2)
+    off = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", residual, weight, residual), 0.0))
+    known = used & np.isfinite(off)
+    # the median of the length of a plane normal error is √(2 ln 2); four numbers of each ray are fitted
+    free = max(1.0 - 2.0 * np.unique(points.ray[known]).size / max(known.sum(), 1), 0.1)
+    factor = max(float(np.median(off[known])) / np.sqrt(2.0 * np.log(2.0) * free), 1.0)
+    length = np.hypot(residual[:, 0], residual[:, 1])
+    return known & ((off < _OFF_MAX * factor) | (length < _OFF_LEAST_PX)), factor

@@ -1,0 +1,83 @@
+"""Dots: centres as good as stated, surfaces of known bodies, refusals of recipes, and drawn truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from roemetry import Recipe
+from roemetry.config.scene import Scene
+from roemetry.errors import ConfigurationError, StageError
+from roemetry.records import Frame, Sensor
+from roemetry.testing.dots import DotRig
+from roemetry_patterns.dot_centres import DotCentres
+from roemetry_patterns.epipolar_dots import EpipolarDots
+from roemetry_pinhole.dot_lattice import followed, on_belt
+
+
+def test_centres_scatter_as_their_covariance_says(rng: np.random.Generator) -> None:
+    rig, over = DotRig(), []
+    places = rig.places_px(rig.hill()).reshape(-1, 2)
+    light = rig.spots(places, 90.0)
+    for _ in range(4):
+        noisy = rng.poisson(light / 0.05) * 0.05 + rng.normal(0.0, 0.8, light.shape)
+        pixels = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+        peaks = DotCentres().extract(Frame(pixels, sensor=Sensor(0.05, 0.8)))
+        assert peaks.dots is not None
+        found = np.column_stack([peaks.x_px, peaks.dots.y_px])
+        own = np.linalg.norm(found[:, None] - places[None], axis=2).argmin(axis=1)
+        std = np.sqrt(np.diagonal(peaks.dots.covariance_px2, axis1=1, axis2=2))
+        over.append((found - places[own]) / std)
+    # dots cover a fifth of this image: the noise of the dark is told a little too large
+    assert 0.7 < np.sqrt((np.concatenate(over) ** 2).mean()) < 1.1
+
+
+def test_a_turned_matrix_is_followed_and_a_wrong_one_refused() -> None:
+    rig = DotRig()
+    places = rig.places_px(rig.level())
+    at = followed(places.reshape(-1, 2)).reshape(rig.stripes, rig.lines, 2)
+    assert (at == np.stack(np.indices((rig.stripes, rig.lines)), axis=2)).all()
+    with pytest.raises(Exception, match="swapped"):
+        on_belt(places.reshape(-1, 2), rig.lines, rig.stripes, "belt")
+    with pytest.raises(Exception, match="155 dots"):
+        on_belt(places.reshape(-1, 2)[5:-5], rig.stripes, rig.lines, "belt")
+
+
+def test_dots_beside_every_ray_are_refused_and_not_guessed() -> None:
+    rig = DotRig()
+    moved = rig.places_px(rig.level()) + np.array([0.0, 4.0])
+    with pytest.raises(StageError, match="lie where a ray"):
+        EpipolarDots().code(rig.dots(moved), rig.dot_calibration())
+
+
+@pytest.mark.parametrize("stage", ["coder=planes", "triangulator=pinhole-plane"])
+def test_a_recipe_whose_stages_see_other_light_is_refused(stage: str) -> None:
+    kind, name = stage.split("=")
+    with pytest.raises(ConfigurationError, match=f"`{name}` is made for lines"):
+        Recipe.load("recipes/potato_dots", sets=[f"stages.{kind}={{use: {name}}}", "calibration=null"])
+
+
+def test_drawn_dots_are_where_the_truth_says() -> None:
+    sets = ["simulator.options.product={family: none}", "simulator.options.laser.speckle_contrast=0"]
+    sets += ["simulator.options.laser.planes=5", "simulator.options.laser.dots={lines: 4, spacing_mm: 6}"]
+    made = Scene.load("recipes/potato_dots/simulated.yaml", sets=[*sets, "simulator.options.draft=true"])
+    item = made.make().simulate(0, 3)
+    truth = item.truth.stripes
+    assert truth is not None
+    peaks = DotCentres().extract(next(frame for frame in item.frames if frame.role == "laser"))
+    assert peaks.dots is not None
+    assert len(peaks) == np.isfinite(truth.x_px).sum() == 20
+    stripe, row = np.nonzero(np.isfinite(truth.x_px))
+    places = np.column_stack([truth.x_px[stripe, row], truth.y_px[stripe, row]])
+    found = np.column_stack([peaks.x_px, peaks.dots.y_px])
+    off = np.linalg.norm(found[:, None] - places[None], axis=2).min(axis=1)
+    assert off.max() < 0.1  # px
+    # a dot lies in its plane, on the belt
+    assert np.abs(truth.xyz_mm[stripe, row, 2]).max() < 1e-9
+
+
+@pytest.mark.parametrize("simulator", ["moving-belt", "mitsuba"])
+def test_simulators_without_dots_refuse_them(simulator: str) -> None:
+    sets = [f"simulator.use={simulator}"]
+    with pytest.raises(ConfigurationError, match="dots"):
+        Scene.load("recipes/potato_dots/simulated.yaml", sets=sets).make()
