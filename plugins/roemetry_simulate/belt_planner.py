@@ -141,5 +141,6 @@ def _faults(space: Space, bodies: Bodies, now_mm: float) -> Iterator[str]:
     _, _, low, high = view_mm(space.rig.camera, bodies.height_mm)
     if bodies.width_mm > high - low:
         yield f"{bodies.height_mm:.0f} mm above the belt the camera sees a width of {high - low:.0f} mm"
-    if bodies.height_mm > space.highest_mm:
-        yield f"products are {bodies.height_mm:.0f} mm high, the line leaves the view at {space.highest_mm:.0f}"
+    top = space.highest_mm
+    if bodies.height_mm > top:
+        yield f"products are {bodies.height_mm:.0f} mm high, the line leaves the view at {top:.0f}"
