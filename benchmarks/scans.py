@@ -33,7 +33,7 @@ from roemetry.records.scan import Motion
 from roemetry.run.pipeline import Pipeline
 from roemetry_pinhole.pinhole_plane import PinholePlane, displacements, rest_polynomials, view_of
 from roemetry_scan.formats import write
-from roemetry_scan.formats.points import Measured
+from roemetry_scan.formats.points import measured_of
 from roemetry_scan.placing import BeltMotion
 from roemetry_simulate.moving_belt import MovingBelt, MovingBeltOptions
 
@@ -133,7 +133,7 @@ def stripes_of(sim: MovingBelt, seed: int, noise_px: float) -> tuple[StripeMap, 
         np.zeros(x_px.shape, np.bool_), unknown, np.empty(0, np.int16),
     )  # fmt: skip
     many = len(counts)
-    return stripes, ScanLines(_no_frame, sim.shown(counts), np.arange(many), (0, many))
+    return stripes, ScanLines(_no_frame, sim.shown(counts).astype(np.float64), np.arange(many), (0, many))
 
 
 def _no_frame(line: int) -> Frame:
@@ -146,8 +146,8 @@ def lines_of(sim: MovingBelt, seed: int) -> ScanLines:
     frames = [frame for _, _, frame in sim.frames(drawn, seed)]
     counts, _ = sim.belt(drawn, seed)
     return ScanLines(
-        lambda k: Frame(frames[k], sensor=sim.sensor()), sim.shown(counts), np.arange(len(frames)),
-        (0, len(frames)),
+        lambda k: Frame(frames[k], sensor=sim.sensor()), sim.shown(counts).astype(np.float64),
+        np.arange(len(frames)), (0, len(frames)),
     )  # fmt: skip
 
 
@@ -371,13 +371,12 @@ def formats(count: int, seed: int) -> None:
             assert first is not None
             for suffix in ("ply", "pcd", "las", "csv", "tif", "npy", "png", "x3p"):
                 path = Path(folder) / f"map.{suffix}"
-                write(path, Measured(trace.profiles.xyz_mm, trace.profiles.seen))
+                write(path, measured_of(trace.profiles))
                 again = Recipe.of(
                     {
                         "roemetry": 1, "product": "a map",
                         "source": {"use": "height-files", "path": path.name},
-                        "stages": {"assembler": {"use": "belt-motion", "options": {"flanks": False}},
-                                   "volume": "dense-slices"},
+                        "stages": {"volume": "dense-slices"},
                     },
                     folder=Path(folder),
                 )  # fmt: skip
@@ -396,7 +395,7 @@ def speed(count: int, seed: int) -> None:
 
     sim = scene(1280, 400, family="bread-roll", product=CONVEX["bread-roll"], counts_per_line=60)
     some = lines_of(sim, seed)
-    lines = ScanLines(some.frame, np.arange(500) * 60.0, np.arange(500), (0, 500))
+    lines = ScanLines(some.frame, np.linspace(0.0, 60.0 * 499.0, 500), np.arange(500), (0, 500))
     frames = [some.frame(k % len(some.count)) for k in range(500)]
     lines = replace(lines, frame=lambda k: frames[k])
     calibration = true_calibration(sim)

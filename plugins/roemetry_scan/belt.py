@@ -49,9 +49,6 @@ class BeltOptions(StageOptions):
     )
     gap_mm: float = Field(default=2.0, ge=0, le=500, description="closer pieces are one product, mm")
     area_min_mm2: float = Field(default=25.0, ge=0, description="smaller ones are dirt, mm²")
-    flanks: bool = Field(
-        default=True, description="follow flanks that are not seen; no where the slices hold them already"
-    )
 
 
 def plane_of_belt(points_mm: Floats, near_mm: float) -> Floats:

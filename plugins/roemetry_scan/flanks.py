@@ -32,6 +32,8 @@ _RIM_PRIOR = 1e-5
 """Weight of a rim on the belt, of one point's equation: it decides where noise alone would."""
 _RIM_ROWS_MIN = 10
 """Image rows that tell a product's rim where belt is seen right beside it."""
+_RIM_STEPS, _RIM_STEPS_DIM = 1.4, 3.5
+"""From a row's outermost point down to the rim, by its rise to the next one; and where a dim one was lost."""
 _POOLED = 3
 """Neighbours on either side whose mean stands for a point: noise of single ones bends the conic."""
 _FLAT = 1.02
@@ -48,7 +50,7 @@ def followed(xyz_mm: Floats, label: Labels, plane: Floats) -> tuple[Floats, Labe
     """
     points, number = np.array(xyz_mm), np.array(label)
     added = np.zeros(number.shape, np.bool_)
-    rims = rims_of(points, number, int(number.max(initial=0)))
+    rims = rims_of(points, number, added, int(number.max(initial=0)))
     _along_belt(points, number, added, plane, rims)
     _along_slices(points, number, added, plane, rims)
     _join(points, number, added, plane)
@@ -141,27 +143,35 @@ def _along_slices(xyz: Floats, label: Labels, added: Flags, plane: Floats, rims:
 
 
 @float_kernel
-def rims_of(xyz: Floats, label: Labels, products: int) -> Floats:
+def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> Floats:
     """Give (product + 1,) the height of each one's rim, if belt is seen right beside it somewhere; else NaN.
 
     Near a rim heights are r + √(α·d): of a last point that lies anywhere within a spacing of it and of the
     next one, z₀ − 1.4·(z₁ − z₀) is r on the mean, over many image rows within a hundredth of the height.
+    Where light grazes, the point nearest to the rim is often too dim: such rows count as low ones of the
+    median.
     """
     slices, points = label.shape
     found, count = np.full((products + 1, 2 * points), np.nan), np.zeros(products + 1, np.int64)
     for k in range(points):
         for way in (1, -1):
-            last = 0 if way == 1 else slices - 1
-            for i in range(1, slices - 1):
+            unseen = slices
+            for i in range(slices - 1):
                 m = i if way == 1 else slices - 1 - i
                 number = label[m, k]
-                # the outermost point of the row on this side, with belt right beside it
-                if number > 0 and label[last, k] == 0 and label[m + way, k] == number:
-                    z0, z1 = xyz[m, k, 2], xyz[m + way, k, 2]
-                    if count[number] < 2 * points:
-                        found[number, count[number]] = z0 - 1.4 * max(z1 - z0, 0.0)
+                if number == 0:
+                    unseen = 0
+                elif number < 0 or added[m, k]:
+                    unseen += 1
+                else:
+                    # the outermost point of the row on this side, with belt right beside it, or a point
+                    # between that was too dim: that one was nearer to the rim than most are
+                    if unseen <= 1 and label[m + way, k] == number and count[number] < 2 * points:
+                        z0, z1 = xyz[m, k, 2], xyz[m + way, k, 2]
+                        steps = _RIM_STEPS if unseen == 0 else _RIM_STEPS_DIM
+                        found[number, count[number]] = z0 - steps * max(z1 - z0, 0.0)
                         count[number] += 1
-                last = m
+                    unseen = slices
     rims = np.full(products + 1, np.nan)
     for number in range(1, products + 1):
         if count[number] >= _RIM_ROWS_MIN:

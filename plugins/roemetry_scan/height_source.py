@@ -69,9 +69,8 @@ class HeightMaps(Source[HeightSourceOptions]):
         quarter = self.options.turn // 90
         for _ in range(quarter):
             xyz = np.stack([-xyz[..., 1], xyz[..., 0], xyz[..., 2]], axis=-1)
-        seen = found.seen
         if quarter % 2 and xyz.ndim == 3:
-            xyz, seen = xyz.transpose(1, 0, 2), None if seen is None else seen.T
+            xyz = xyz.transpose(1, 0, 2)
         std_mm = found.std_mm * _MM[self.options.unit]
-        profiles = profiles_of(Measured(xyz, seen, std_mm), self.options.pixel_mm, str(path))
+        profiles = profiles_of(Measured(xyz, std_mm), self.options.pixel_mm, str(path))
         return Acquisition(reference.id, (), profiles=profiles)

@@ -16,6 +16,7 @@ heights lie ahead or behind on slopes is the way the product slipped against the
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -39,6 +40,9 @@ _NEAR_MM = 0.3
 """Belt lies so near to its plane where its own scatter is not known yet, mm."""
 _BELT_POINTS = 100_000
 """Points that tell the belt's plane, to a thousandth of their scatter; all of a scan are 100 MB more."""
+
+_STRAY_FACTOR = 2.0
+"""Of a belt point's usual uncertainty: stray light has 3.0 to 7 of it, belt up to 1.25 (seed 9500)."""
 
 
 class BeltMotion(Assembler[BeltOptions]):
@@ -111,7 +115,7 @@ class BeltMotion(Assembler[BeltOptions]):
         )
         if not (label == 0).any():
             return profiles
-        return self._with_flanks(_on_belt(profiles, fitted_plane(_some(xyz_mm, label == 0))))
+        return _with_flanks(_on_belt(profiles, fitted_plane(_some(xyz_mm, label == 0))))
 
     def label(self, profiles: Profiles, own: tuple[int, int] | None = None) -> Profiles:
         """Lay Z = 0 on the belt that is seen, and number the products that begin in the own lines."""
@@ -131,20 +135,14 @@ class BeltMotion(Assembler[BeltOptions]):
             noise = 1.4826 * float(np.median(np.abs(height[near])))
         steps = (_usual(profiles.xyz_mm, 0), _usual(profiles.xyz_mm, 1))
         number = products_on(height, steps, noise, self.options)
+        number[_strayed(profiles.height_std_mm, number == 0)] = -1
         if own is not None:
             number = _owned(number, profiles.frame, own)
         figures = profiles.scan
         if figures is not None:
             figures = replace(figures, jitter_mm=_jitter(height, number, noise))
         found = replace(profiles, product=number, seen=profiles.seen & (number >= 0), scan=figures)
-        return self._with_flanks(found)
-
-    def _with_flanks(self, profiles: Profiles) -> Profiles:
-        """Add what is not seen of products' flanks."""
-        if not self.options.flanks:
-            return profiles
-        xyz_mm, label, added = followed(profiles.xyz_mm, profiles.product, profiles.plane)
-        return replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added)
+        return _with_flanks(found)
 
     def motion(
         self, stripes: StripeMap, lines: ScanLines, calibration: Calibration, triangulator: Triangulator[Any],
@@ -162,6 +160,12 @@ def motion_of(calibration: Calibration) -> Motion:
             hint="add `scan` to the rig file, a known body carried once through the light, and calibrate",
         )
     return calibration.motion
+
+
+def _with_flanks(profiles: Profiles) -> Profiles:
+    """Add what is not seen of products' flanks."""
+    xyz_mm, label, added = followed(profiles.xyz_mm, profiles.product, profiles.plane)
+    return replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added)
 
 
 def _lags(plane: Floats, motion: Floats, middle: int) -> Floats:
@@ -196,6 +200,20 @@ def _usual(xyz_mm: Floats, axis: int) -> float:
     steps = np.sqrt((np.diff(some[..., :2], axis=axis) ** 2).sum(axis=2))
     steps = steps[np.isfinite(steps) & (steps > 0.0)]
     return float(np.median(steps)) if steps.size else 1.0
+
+
+def _strayed(std_mm: Floats, belt: Flags) -> Flags:
+    """Say which belt is light of the next row, which a lens has blurred over an edge.
+
+    That row shows no belt, or a flank too dim to stand out. Such light is much dimmer, so much less certain
+    than the belt of the same row in other slices.
+    """
+    stated = np.where(belt, std_mm, np.nan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a row without belt
+        usual = np.nanmedian(stated, axis=0)
+    strayed: Flags = stated > _STRAY_FACTOR * usual
+    return strayed
 
 
 def _owned(number: Any, frame: Any, own: tuple[int, int]) -> Any:

@@ -12,7 +12,7 @@ from roemetry.errors import RoemetryError
 from roemetry.io.files import make_folder
 from roemetry.stages import Run, Sink, StageOptions
 from roemetry_scan.formats import write
-from roemetry_scan.formats.points import Measured
+from roemetry_scan.formats.points import measured_of
 
 
 class SlicesOptions(StageOptions):
@@ -24,10 +24,10 @@ class SlicesOptions(StageOptions):
 
 
 class SliceFiles(Sink[SlicesOptions]):
-    """Writes ``slices/<acquisition>.<format>``: belt and products, belt frame, mm.
+    """Writes ``slices/<acquisition>.<format>``: what was seen of belt and products, belt frame, mm.
 
-    Clouds keep each point's slice, place in it and whether it was seen (LAS: slice and seen). Height maps
-    hold a slice a column, each pixel with its own X, Y and Z.
+    Clouds keep each point's slice and place in it. Height maps hold a slice a column, each pixel with its own
+    X, Y and Z. What was bridged or followed is left out: who reads the file follows it again.
     """
 
     Options: ClassVar[type[StageOptions]] = SlicesOptions
@@ -46,5 +46,5 @@ class SliceFiles(Sink[SlicesOptions]):
                 continue
             # whatever a source calls its acquisitions, the file stays in its folder
             path = folder / f"{name.replace('/', '_').replace(chr(92), '_')}.{self.options.format}"
-            written += write(path, Measured(profiles.xyz_mm, profiles.seen))
+            written += write(path, measured_of(profiles))
         return written

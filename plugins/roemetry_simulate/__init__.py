@@ -13,7 +13,7 @@ from roemetry.stages.hookspecs import StageEntry, hookimpl
 
 @hookimpl
 def roemetry_stages() -> Iterable[StageEntry]:
-    """Name the simulator and the planner."""
+    """Name the simulators and their planners."""
     yield StageEntry(
         kind="simulator",
         name="ray-caster",
@@ -34,4 +34,11 @@ def roemetry_stages() -> Iterable[StageEntry]:
         target="roemetry_simulate.planner:RigPlanner",
         summary="What a rig will give: view, height range, uncertainty, slopes, stripes, from its geometry",
         reference="triangulation; Cramér-Rao bound; speckle limit of Dorsch, Häusler, Herrmann (1994)",
+    )
+    yield StageEntry(
+        kind="planner",
+        name="moving-belt",
+        target="roemetry_simulate.belt_planner:BeltPlanner",
+        summary="What a rig will give over a belt, and which line spacing and belt speed are enough",
+        reference="our own",
     )

@@ -484,10 +484,10 @@ _DRAWN = 4
 _SLICES, _OUTLINE = 2.0, 0.4
 """Error of a volume over that of exact slices' sampling, from slices alone and with an outline: skeins, whose
 sampling errs by 0.8 %, came out 1.2 to 1.9 and 0.2 to 0.4 % off (docs/measurements/outside.md)."""
-_CALIBRATION_PX = 0.03
+CALIBRATION_PX = 0.03
 """Error in the image that a calibration by boards leaves common to all heights: 5 to 13 µm on rigs with 0.2
 to 0.5 mm of height for a pixel."""
-_UNDERSIDE_PCT = 100.0 * 0.2 / math.sqrt(12.0) / 0.9
+UNDERSIDE_PCT = 100.0 * 0.2 / math.sqrt(12.0) / 0.9
 """Of the weight before it is fitted: true over visible volume lies anywhere between 0.8 (a ball) and 1."""
 _SPACINGS = 2.5
 """Heights beyond so many spacings' displacement are told apart by no coder."""
@@ -507,9 +507,12 @@ def bodies_of(scene: RayCasterOptions, rig: Rig) -> Bodies | None:
         drawn = [one.solid for k in range(_DRAWN) for one in draw_item(scene.product, rig, k, 0).products]
     except RoemetryError:
         return None
-    if not drawn:
-        return None
-    sizes, areas = zip(*(_sections(solid) for solid in drawn), strict=True)
+    return bodies_from(drawn) if drawn else None
+
+
+def bodies_from(solids: Sequence[Solid]) -> Bodies:
+    """Give sizes and sections of some products."""
+    sizes, areas = zip(*(_sections(solid) for solid in solids), strict=True)
     lengths, widths, heights, means = np.array(sizes).T
     return Bodies(lengths.max(), widths.max(), heights.max(), means.mean(), lengths, np.array(areas))
 
@@ -533,7 +536,7 @@ def answer_of(
     has_outline = "plain" in scene.light.images
     causes = _causes(space, bodies, has_outline)
     total = math.hypot(*causes.values())
-    weight = math.hypot(total, _UNDERSIDE_PCT)
+    weight = math.hypot(total, UNDERSIDE_PCT)
     limiting = faults[0] if faults else max(causes, key=causes.__getitem__)
     rigs = _other_rigs(scene, space, bodies, space_of)
     now = angle_deg(space)
@@ -589,7 +592,7 @@ def _causes(space: Space, bodies: Bodies, has_outline: bool) -> dict[str, float]
     return {
         f"the {bodies.length_mm / spacing:.0f} stripes on a product": sampling,
         "noise of the stripes": 100.0 * noise * per_px / bodies.mean_height_mm,
-        f"{per_px:.2f} mm of height for a pixel": 100.0 * _CALIBRATION_PX * per_px / bodies.mean_height_mm,
+        f"{per_px:.2f} mm of height for a pixel": 100.0 * CALIBRATION_PX * per_px / bodies.mean_height_mm,
     }
 
 

@@ -1,6 +1,7 @@
 """LAS 1.0 to 1.4 (ASPRS): whole numbers with a scale and an offset; LAZ by the extra package laspy.
 
-`point_source_id` holds a point's slice and `user_data` whether it was seen, where roemetry wrote the file.
+A point's slice and its place in it are extra bytes of it, which a record of the header describes to any
+program; where roemetry wrote the file, they are read again.
 LAS is told in metres by custom; the source's option `unit` says otherwise, and roemetry writes mm.
 """
 
@@ -13,12 +14,21 @@ import numpy as np
 
 from roemetry.errors import DataError
 from roemetry.io.files import write_bytes
-from roemetry_scan.formats.points import Measured, flat
+from roemetry_scan.formats.points import Measured, flat, from_flat
 
 _SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of the point formats 0 to 10, at least."""
 _STEP_MM = 1e-4
+_EXTRA = ("slice", "point")
 _SYSTEM = b"roemetry slices"
+_POINT = np.dtype(
+    {
+        "names": ["xyz", "returns", *_EXTRA],
+        "formats": [("<i4", 3), "u1", "<u2", "<u2"],
+        "offsets": [0, 14, 20, 22],
+        "itemsize": 24,
+    }
+)
 
 
 def read(path: Path) -> Measured:
@@ -40,63 +50,39 @@ def read(path: Path) -> Measured:
     if there < count:
         raise DataError(f"{path}: {there} of the {count} points that its header names: it was cut off")
     scale, offset = np.frombuffer(data, "<f8", 6, 131).reshape(2, 3)
-    source, user = (18, 17) if form < 6 else (20, 17)
-    kind = np.dtype(
-        {
-            "names": ["xyz", "user", "source"],
-            "formats": [("<i4", 3), "u1", "<u2"],
-            "offsets": [0, user, source],
-            "itemsize": size,
-        }
-    )
+    ours = data[26:58].rstrip(b"\0") == _SYSTEM and size == _POINT.itemsize
+    kind = _POINT if ours else np.dtype({"names": ["xyz"], "formats": [("<i4", 3)], "itemsize": size})
     points = np.frombuffer(data, kind, count, begin)
     xyz = points["xyz"] * scale + offset
-    if data[26:58].rstrip(b"\0") != _SYSTEM:
-        return Measured(xyz)
-    return _sliced(xyz, points["source"].astype(np.int64), points["user"] > 0)
-
-
-def _sliced(xyz: np.ndarray, slices: np.ndarray, seen: np.ndarray) -> Measured:
-    """Give slices of points that stand one slice after the other."""
-    many = np.bincount(slices)
-    begin = np.concatenate([[0], np.cumsum(many)[:-1]])
-    place = np.arange(len(slices)) - begin[slices]
-    whole = np.full((many.size, int(many.max()), 3), np.nan)
-    marked = np.zeros(whole.shape[:2], np.bool_)
-    whole[slices, place], marked[slices, place] = xyz, seen
-    return Measured(whole, marked)
+    return from_flat(xyz, *(points[name] for name in _EXTRA)) if ours else Measured(xyz)
 
 
 def write(path: Path, measured: Measured) -> list[Path]:
-    """Write LAS 1.2, point format 0, in steps of a tenth of a micrometre."""
+    """Write LAS 1.2, point format 0 with extra bytes, in steps of a tenth of a micrometre."""
     if path.suffix.lower() == ".laz":
         raise DataError(f"{path}: LAZ is read, not written", hint="write .las")
-    xyz, slices, _, seen = flat(measured)
-    if slices.max(initial=0) > 65535:
-        raise DataError(f"{path}: LAS numbers 65,536 slices, there are {int(slices.max()) + 1}")
+    xyz, *numbers = flat(measured)
+    points = np.zeros(len(xyz), _POINT)
+    for name, values in zip(_EXTRA, numbers, strict=True):
+        if values.max(initial=0) > 65535:
+            raise DataError(f"{path}: numbers of a {name} go up to {int(values.max())}, 65,535 is the most")
+        points[name] = values
     middle = np.rint(xyz.mean(axis=0))
-    kind = np.dtype(
-        {
-            "names": ["xyz", "returns", "user", "source"],
-            "formats": [("<i4", 3), "u1", "u1", "<u2"],
-            "offsets": [0, 14, 17, 18],
-            "itemsize": 20,
-        }
-    )
-    points = np.zeros(len(xyz), kind)
     points["xyz"] = np.rint((xyz - middle) / _STEP_MM)
-    points["returns"], points["user"], points["source"] = 0b00001001, seen, slices
+    points["returns"] = 0b00001001
+    described = b"".join(struct.pack("<2xBx32s156x", 3, name.encode()) for name in _EXTRA)  # 3: two bytes
+    record = struct.pack("<2x16sHH32s", b"LASF_Spec", 4, len(described), b"extra bytes") + described
     header = bytearray(227)
     header[0:4] = b"LASF"
     header[24:26] = bytes([1, 2])
     header[26 : 26 + len(_SYSTEM)] = _SYSTEM
     header[58:66] = b"roemetry"
-    struct.pack_into("<HIIBHI", header, 94, 227, 227, 0, 0, 20, len(xyz))
+    struct.pack_into("<HIIBHI", header, 94, 227, 227 + len(record), 1, 0, _POINT.itemsize, len(xyz))
     struct.pack_into("<I", header, 111, len(xyz))
     struct.pack_into("<6d", header, 131, *[_STEP_MM] * 3, *middle)
     low, high = xyz.min(axis=0), xyz.max(axis=0)
     struct.pack_into("<6d", header, 179, *(value for pair in zip(high, low, strict=True) for value in pair))
-    write_bytes(path, bytes(header) + points.tobytes())
+    write_bytes(path, bytes(header) + record + points.tobytes())
     return [path]
 
 

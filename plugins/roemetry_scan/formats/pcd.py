@@ -53,26 +53,17 @@ def read(path: Path) -> Measured:
     xyz = np.column_stack([at[name] for name in "xyz"]).astype(np.float64)
     if height == 1:
         return Measured(xyz)
-    seen = at.get("seen")
-    return Measured(
-        xyz.reshape(height, width, 3), None if seen is None else (seen > 0).reshape(height, width)
-    )
+    return Measured(xyz.reshape(height, width, 3))
 
 
 def write(path: Path, measured: Measured) -> list[Path]:
     """Write an organised cloud, binary: a row a slice, NaN where nothing is known."""
     xyz = measured.xyz_mm if measured.xyz_mm.ndim == 3 else measured.xyz_mm[None]
     height, width = xyz.shape[:2]
-    kind = np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("seen", "u1")])
-    points = np.zeros(height * width, kind)
-    for k, name in enumerate("xyz"):
-        points[name] = xyz[..., k].ravel()
-    known = np.isfinite(xyz).all(axis=2)
-    points["seen"] = (known if measured.seen is None else measured.seen).ravel()
     header = (
-        "# .PCD v0.7 - roemetry: belt frame, mm\nVERSION 0.7\nFIELDS x y z seen\nSIZE 8 8 8 1\nTYPE F F F U\n"
-        f"COUNT 1 1 1 1\nWIDTH {width}\nHEIGHT {height}\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {width * height}\n"
+        "# .PCD v0.7 - roemetry: belt frame, mm\nVERSION 0.7\nFIELDS x y z\nSIZE 8 8 8\nTYPE F F F\n"
+        f"COUNT 1 1 1\nWIDTH {width}\nHEIGHT {height}\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {width * height}\n"
         "DATA binary\n"
     )
-    write_bytes(path, header.encode("ascii") + points.tobytes())
+    write_bytes(path, header.encode("ascii") + xyz.astype("<f8").tobytes())
     return [path]

@@ -57,28 +57,20 @@ def read(path: Path) -> Measured:
         points = np.frombuffer(data, kind, count, begin)
         at = {name: points[name] for name in kind.names or ()}
     xyz = np.column_stack([at[name] for name in "xyz"]).astype(np.float64)
-    slices, places, seen = (at.get(name) for name in ("slice", "point", "seen"))
-    return from_flat(
-        xyz,
-        None if slices is None else slices.astype(np.int64),
-        None if places is None else places.astype(np.int64),
-        None if seen is None else seen > 0,
-    )
+    return from_flat(xyz, at.get("slice"), at.get("point"))
 
 
-_POINT = np.dtype(
-    [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("slice", "<i4"), ("point", "<i4"), ("seen", "u1")]
-)
-_NAMES = {"<f8": "double", "<i4": "int", "|u1": "uchar"}
+_POINT = np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("slice", "<i4"), ("point", "<i4")])
+_NAMES = {"<f8": "double", "<i4": "int"}
 
 
 def write(path: Path, measured: Measured) -> list[Path]:
     """Write the points, binary, with each one's slice and place in it."""
-    xyz, slices, places, seen = flat(measured)
+    xyz, slices, places = flat(measured)
     points = np.empty(len(xyz), _POINT)
     for k, name in enumerate("xyz"):
         points[name] = xyz[:, k]
-    points["slice"], points["point"], points["seen"] = slices, places, seen
+    points["slice"], points["point"] = slices, places
     header = [
         "ply", "format binary_little_endian 1.0", "comment roemetry: belt frame, mm",
         f"element vertex {len(points)}",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,10 +23,13 @@ class Measured(NamedTuple):
 
     xyz_mm: Floats
     """(slice, point, 3), NaN where nothing was seen; or (n, 3), a cloud."""
-    seen: Flags | None = None
-    """(slice, point) False where a point was bridged; None: all were seen."""
     std_mm: float = math.nan
     """Standard uncertainty of single heights, mm, where the file states it."""
+
+
+def measured_of(profiles: Profiles) -> Measured:
+    """Give what was seen of slices: what was bridged or followed is left out."""
+    return Measured(np.where(profiles.seen[..., None], profiles.xyz_mm, np.nan))
 
 
 def profiles_of(measured: Measured, pixel_mm: float | None, name: str) -> Profiles:
@@ -56,24 +59,26 @@ def profiles_of(measured: Measured, pixel_mm: float | None, name: str) -> Profil
             f"{name}: it is {extent[0]:.3g} × {extent[1]:.3g} mm: these look like micrometres",
             hint="state the unit: `unit: um` in the source's options",
         )
-    seen = measured.seen
     if xyz.ndim == 2:
-        xyz, seen = _gridded(points, pixel_mm or _spacing(points), name), None
+        xyz = _gridded(points, pixel_mm or _spacing(points), name)
     known = np.asarray(np.isfinite(xyz).all(axis=-1))
     xyz = np.where(known[..., None], xyz, np.nan)
     many = known.shape[1]
     order, at = _sorted(xyz, known)
     xyz, known = xyz[order], known[order]
-    place = np.arange(len(at))
+    step = np.diff(at)
+    # a slice that is missing among others keeps its place
+    usual = max(float(np.median(step)), 1e-9) if step.size else 1.0
+    place = np.concatenate([[0], np.cumsum(np.maximum(np.rint(step / usual), 1.0))]).astype(np.int64)
     return Profiles(
         xyz_mm=xyz,
         product=np.where(known, 0, -1).astype(np.int16),
-        seen=known if seen is None else known & seen[order],
+        seen=known,
         x_px=np.where(known, place[:, None].astype(np.float64), np.nan),
         row_px=np.where(known, np.arange(many, dtype=np.float64), np.nan),
         height_std_mm=np.where(known, measured.std_mm, np.nan),
         stripe=place,
-        frame=place,
+        frame=np.arange(len(at)),
         plane=np.array([_plane(line[ok]) for line, ok in zip(xyz, known, strict=True)]),
     )
 
@@ -129,29 +134,24 @@ def sliced(measured: Measured) -> Floats:
     return measured.xyz_mm
 
 
-def flat(measured: Measured) -> tuple[Floats, Integers, Integers, Flags]:
-    """Give points (n, 3) with each one's slice, place in it, and whether it was seen; of a cloud slice 0."""
+def flat(measured: Measured) -> tuple[Floats, Integers, Integers]:
+    """Give points (n, 3) with each one's slice and place in it; of a cloud slice 0."""
     xyz = measured.xyz_mm
     if xyz.ndim == 2:
-        many = len(xyz)
-        return xyz, np.zeros(many, np.int64), np.arange(many), np.ones(many, np.bool_)
+        return xyz, np.zeros(len(xyz), np.int64), np.arange(len(xyz))
     known = np.asarray(np.isfinite(xyz).all(axis=2))
     slices, places = np.nonzero(known)
-    seen = known if measured.seen is None else measured.seen
-    return xyz[known], slices, places, seen[known]
+    return xyz[known], slices, places
 
 
-def from_flat(xyz: Floats, slices: Integers | None, places: Integers | None, seen: Flags | None) -> Measured:
+def from_flat(xyz: Floats, slices: Any, places: Any) -> Measured:
     """Give what `flat` was made of; a cloud where slices are not told."""
-    if slices is None or places is None or not slices.size or int(places.max()) < 2:
+    if slices is None or places is None or not len(slices) or int(places.max()) < 2:
         return Measured(xyz)
+    slices, places = np.asarray(slices, np.int64), np.asarray(places, np.int64)
     if slices.min() < 0 or places.min() < 0 or (int(slices.max()) + 1) * (int(places.max()) + 1) > _CELLS_MAX:
         raise ValueError("slice and point number points that cannot be")
     shape = int(slices.max()) + 1, int(places.max()) + 1
     whole = np.full((*shape, 3), np.nan)
     whole[slices, places] = xyz
-    marked = None
-    if seen is not None:
-        marked = np.zeros(shape, np.bool_)
-        marked[slices, places] = seen
-    return Measured(whole, marked)
+    return Measured(whole)

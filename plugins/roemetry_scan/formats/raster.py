@@ -82,7 +82,7 @@ def read(path: Path) -> Measured:
         xyz[..., k] = axis.scale * values + axis.offset
     xyz[lost] = np.nan
     std = np.nan if told.height_std_mm is None else told.height_std_mm
-    return Measured(xyz.transpose(1, 0, 2) if told.slices == "columns" else xyz, None, std)
+    return Measured(xyz.transpose(1, 0, 2) if told.slices == "columns" else xyz, std)
 
 
 def _array(path: Path) -> Any:

@@ -1,4 +1,4 @@
-"""CSV: a line a point, columns x, y, z (mm), and perhaps slice, point and seen."""
+"""CSV: a line a point, columns x, y, z (mm), and perhaps slice and point."""
 
 from __future__ import annotations
 
@@ -31,24 +31,16 @@ def read(path: Path) -> Measured:
                 raise DataError(f"{path}, line {number}: {len(line)} values for {len(names)} columns")
     table = np.array(rows, np.float64).reshape(-1, len(names))
     at = {name: table[:, k] for k, name in enumerate(names)}
-    slices, places, seen = (at.get(name) for name in ("slice", "point", "seen"))
-    return from_flat(
-        np.column_stack([at["x"], at["y"], at["z"]]),
-        None if slices is None else slices.astype(np.int64),
-        None if places is None else places.astype(np.int64),
-        None if seen is None else seen > 0,
-    )
+    return from_flat(np.column_stack([at[name] for name in "xyz"]), at.get("slice"), at.get("point"))
 
 
 def write(path: Path, measured: Measured) -> list[Path]:
     """Write a line for each point, to a tenth of a micrometre."""
-    xyz, slices, places, seen = flat(measured)
-    text = ["x (mm),y (mm),z (mm),slice,point,seen\n"]
+    xyz, slices, places = flat(measured)
+    text = ["x (mm),y (mm),z (mm),slice,point\n"]
     text += [
-        f"{x:.4f},{y:.4f},{z:.4f},{i},{k},{int(s)}\n"
-        for (x, y, z), i, k, s in zip(
-            xyz.tolist(), slices.tolist(), places.tolist(), seen.tolist(), strict=True
-        )
+        f"{x:.4f},{y:.4f},{z:.4f},{i},{k}\n"
+        for (x, y, z), i, k in zip(xyz.tolist(), slices.tolist(), places.tolist(), strict=True)
     ]
     write_bytes(path, "".join(text).encode())
     return [path]
