@@ -5,6 +5,7 @@ from __future__ import annotations
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from roemetry.html.plots import plain, share
+from roemetry.records.units import in_words
 
 
 def environment_of(package: str) -> Environment:
@@ -21,5 +22,5 @@ def environment_of(package: str) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"plain": plain, "share": share, "zip": zip}
+    environment.filters |= {"plain": plain, "share": share, "zip": zip, "in_words": in_words}
     return environment

@@ -54,7 +54,7 @@ from roemetry.records.stripes import (
     EDGE,
     NOTHING,
     SATURATED,
-    UNCODED,
+    UNLABELLED,
     WIDE,
     Peaks,
     StripeMap,

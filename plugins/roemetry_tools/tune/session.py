@@ -31,7 +31,7 @@ from roemetry.records import (
     AMBIGUOUS,
     EDGE,
     SATURATED,
-    UNCODED,
+    UNLABELLED,
     WIDE,
     Acquisition,
     AcquisitionReference,
@@ -347,8 +347,8 @@ def _of_stripes(stripes: StripeMap, arrays: dict[str, NDArray[Any]]) -> dict[str
     arrays["peaks.stripe"] = stripes.peak_stripe
     gaps = sorted(_gaps(stripes), key=lambda gap: gap["first"] - gap["last"])
     return {
-        "coded": int(np.count_nonzero(stripes.peak_stripe >= 0)),
-        "uncoded": int(np.count_nonzero(stripes.peak_stripe == UNCODED)),
+        "labelled": int(np.count_nonzero(stripes.peak_stripe >= 0)),
+        "unlabelled": int(np.count_nonzero(stripes.peak_stripe == UNLABELLED)),
         "ambiguous": int(np.count_nonzero(stripes.peak_stripe == AMBIGUOUS)),
         "gaps": len(gaps),
         "gap_list": gaps[:_GAPS_TOLD],

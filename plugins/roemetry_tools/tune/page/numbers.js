@@ -92,7 +92,7 @@ function placesCard(answer, saved, changed, goTo) {
     saturated: "saturated peaks: less light, or a shorter exposure",
     ambiguous: "ambiguous peaks: left out of every number",
     gaps: "gaps along a stripe",
-    uncoded: "unlabelled peaks: taken for noise",
+    unlabelled: "unlabelled peaks: taken for noise",
     wide: "peaks wider than a stripe",
     edge: "peaks at the image's border",
   };
@@ -121,7 +121,7 @@ function whereIs(kind, { places, arrays }) {
   const flags = arrays["peaks.flags"].data, stripe = arrays["peaks.stripe"]?.data;
   const test = {
     saturated: (i) => flags[i] & 1, edge: (i) => flags[i] & 2, wide: (i) => flags[i] & 4,
-    ambiguous: (i) => stripe?.[i] === -2, uncoded: (i) => stripe?.[i] === -1,
+    ambiguous: (i) => stripe?.[i] === -2, unlabelled: (i) => stripe?.[i] === -1,
   }[kind];
   const groups = [];
   for (let i = 0; i < x.length; i++) {
