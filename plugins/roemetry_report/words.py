@@ -7,10 +7,10 @@ import re
 
 from markupsafe import Markup, escape
 
-from roemetry.html.plots import plain
+from roemetry.html.plots import in_words, plain
 from roemetry.html.plots import share as share_of_100
 from roemetry.records import Estimate
-from roemetry.records.units import NOT_STATED, in_words
+from roemetry.records.units import NOT_STATED
 
 
 def value(estimate: Estimate, per: float = 1.0, digits: int = 2) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from roemetry.errors import ConfigurationError, DataError
-from roemetry.records.units import in_words
+from roemetry.html.plots import in_words
 from roemetry.run.control_chart import BASELINE, limits_of, signals
 from roemetry.run.record import PROVENANCE, read_record
 from roemetry_study.certificate import Certificate, Table, hashed

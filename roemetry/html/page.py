@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-from roemetry.html.plots import plain, share
-from roemetry.records.units import in_words
+from roemetry.html.plots import in_words, plain, share
 
 
 def environment_of(package: str) -> Environment:

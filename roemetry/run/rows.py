@@ -212,7 +212,7 @@ def _warnings(recipe: Recipe) -> tuple[Reason, ...]:
     """What must be said of every number of this recipe."""
     calibration = recipe.calibration
     if calibration is None:
-        return (UNCALIBRATED,)
+        return (UNCALIBRATED,) if "extractor" in recipe.stages else ()  # slices of a sensor are in mm
     light = recipe.penetration
     if light is not None and light.calibration_sha256 != calibration.sha256:
         return (
