@@ -23,6 +23,8 @@ BENCHMARKS = {
     "outside": "rigs of another renderer, from files to grades, against their truth",
     "kills": "two runs in one folder, killed over and over: rows lost or doubled",
     "known_numbers": "what the shipped recipe gives on three skeins, written for `roemetry doctor`",
+    "cluster": "a cluster whose scheduler and client are killed; throughput over the number of workers",
+    "million": "a record of a million rows: time and memory of its table, report and questions",
     "line": "a whole line on loopback: frame to receiver, lost frames, memory; rows after kills",
     "make_rigs": "fresh rigs with truth, drawn at random and rendered by either simulator",
     "pieces": "numbers without a calibration on traced skeins and shapes: refused, and wrong",

@@ -3,7 +3,8 @@
 ``python -m benchmarks volume [--first 80000] [--count 100] [--meshes 10] [--images 0] [--page FILE]``
 
 Every product has a rig of its own. Stripes are traced exactly, 41 at a time, and thinned to fewer; outlines
-are exact silhouettes. With ``--images`` skeins are rendered, too (10 s each and more, kept in the cache).
+are exact silhouettes. So are those of the other simulator's bodies, which the estimators were not developed
+on. With ``--images`` skeins are rendered, too (10 s each and more, kept in the cache).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.mesh_scenes import exact_body
 from benchmarks.tables import put_into, table
 from benchmarks.volume_scenes import Exact, exact, exact_skein, images, measured, rig_of, thinned
 from roemetry.errors import RoemetryError
@@ -82,6 +84,8 @@ BODIES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "bread roll": ("bread-roll", {}),
 }
 """By name: the family, and its options; the place is drawn."""
+OTHERS = ("lofted-skein", "superquadric", "supershape", "ball", "rod", "box")
+"""Families of the plugin `mitsuba`."""
 
 
 class Row(NamedTuple):
@@ -104,6 +108,8 @@ def main() -> None:
     parser.add_argument("--images-from", type=int, default=120000, help="first seed of those")
     parser.add_argument("--bodies", type=int, default=99001, help="first seed of the known bodies' rigs")
     parser.add_argument("--rigs", type=int, default=24, help="rigs for each known body")
+    parser.add_argument("--others", type=int, default=885000, help="first seed of the other maker's bodies")
+    parser.add_argument("--each", type=int, default=40, help="bodies of each of the other maker's families")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-volume")
     parser.add_argument("--page", type=Path, default=Path("docs/measurements/volume.md"))
     given = parser.parse_args()
@@ -126,11 +132,18 @@ def main() -> None:
         for seed in range(given.bodies, given.bodies + given.rigs)
         for row in measure(name, exact(rig_of(seed), solid_of(family, options, seed)), _OF_BODIES)
     ]
+    foreign = [
+        row
+        for family in OTHERS
+        for seed in range(given.others, given.others + given.each)
+        for row in measure(family, exact_body(family, seed), _OF_BODIES)
+    ]
     stated = [name for name in ESTIMATORS if name not in ("zero-order-hold", "slice-pchip, ends: none")]
     parts = {
         "eleven stripes": judged([row for row in rows if row.of in ("11", "meshes")]),
         "how many stripes": briefs(rows, [str(count) for count in STEPS], stated, "stripes"),
         "known bodies": briefs(known, list(BODIES), list(_OF_BODIES), "body"),
+        "the other simulator's bodies": briefs(foreign, OTHERS, list(_OF_BODIES), "family"),
         "underside": underside(np.array(shares)),
     }
     for light in ("plain", "laser"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from roemetry.stages.hookspecs import StageEntry, hookimpl
+from roemetry.stages.hookspecs import StageEntry, VerbEntry, hookimpl
 
 _EXPORT = "pip install 'roemetry[export]'"
 
@@ -17,6 +17,8 @@ def roemetry_stages() -> Iterable[StageEntry]:
          "Image files from a folder or a pattern, with plain-light and dark partners by name"),
         ("source", "dataset", "dataset_source:DatasetSource",
          "The items of a data set (a folder with dataset.yaml), with bit depth, time, encoder count"),
+        ("source", "manifest", "manifest:Manifest",
+         "The images that a manifest names by URL (S3, HTTP, files), each checked against its hash"),
         ("weigher", "scale", "scale:Scale",
          "The mass that the line's own scale gave, and the specific volume"),
         ("sink", "csv", "product_table:CsvTable",
@@ -39,3 +41,13 @@ def roemetry_stages() -> Iterable[StageEntry]:
             reference="our own",
             requires=tuple((module, _EXPORT) for module in needs),
         )
+
+
+@hookimpl
+def roemetry_verbs() -> Iterable[VerbEntry]:
+    """Register what lists and asks files."""
+    for name, summary in (
+        ("manifest", "Write a list of a recipe's images: id, URL, hash and size of each."),
+        ("query", "Ask the results of a run, or of many, by SQL."),
+    ):
+        yield VerbEntry(name, f"roemetry_files.{name}:{name}", summary)

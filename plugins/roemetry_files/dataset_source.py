@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from roemetry.config.dataset import DESCRIPTION, ITEMS, Dataset
 from roemetry.errors import DataError
+from roemetry.io.remote import Url
 from roemetry.records import Acquisition, AcquisitionReference, Sensor
 from roemetry.stages import Source, StageOptions
 from roemetry_files.image_files import in_turn, keep_for_next, pixels_before, read_image
@@ -41,8 +42,8 @@ class DatasetSource(Source[StageOptions]):
 
     def read(self, reference: AcquisitionReference) -> Acquisition:
         """Read the images of one item; raise DataError for one that is missing or damaged."""
-        folder = _folder_of(next(iter(reference.files.values())))
-        changed_ns = (folder / ITEMS).stat().st_mtime_ns
+        folder = _folder_of(next(iter(reference.files.values())).parent)
+        changed_ns = 0 if isinstance(folder, Url) else (folder / ITEMS).stat().st_mtime_ns
         taken, sensor = _taken(folder, changed_ns)[reference.id], _sensor(folder, changed_ns)
         before, frames = pixels_before(reference), []
         for role, path in reference.files.items():
@@ -78,8 +79,9 @@ def _open(path: Path) -> Dataset:
     return Dataset(folder)
 
 
+@lru_cache(maxsize=16)
 def _folder_of(path: Path) -> Path:
-    for folder in path.parents:
+    for folder in (path, *path.parents):
         if (folder / ITEMS).is_file() and (folder / DESCRIPTION).is_file():
             return folder
     raise DataError(f"{path}: does not lie in a data set")

@@ -15,6 +15,7 @@ from pydantic import Field
 
 from roemetry.errors import DataError
 from roemetry.io.files import printable
+from roemetry.io.remote import Url
 from roemetry.records import Acquisition, AcquisitionReference, Frame, Role
 from roemetry.stages import Source, StageOptions
 
@@ -57,10 +58,7 @@ class ImageFiles(Source[ImageFilesOptions]):
 
     def read(self, reference: AcquisitionReference) -> Acquisition:
         """Decode the files of one acquisition; raise DataError for one that is missing or damaged."""
-        before = pixels_before(reference)
-        frames = tuple(read_image(path, role) for role, path in reference.files.items())
-        keep_for_next(reference, frames)
-        return Acquisition(reference.id, frames, before=before)
+        return read_acquisition(reference)
 
     def _reference(self, file: Path, name: str) -> AcquisitionReference:
         files: dict[Role, Path] = {"laser": file}
@@ -69,6 +67,14 @@ class ImageFiles(Source[ImageFilesOptions]):
             if pattern is not None:
                 files[role] = file.parent / pattern.replace("{id}", file.stem)
         return AcquisitionReference(name, files)
+
+
+def read_acquisition(reference: AcquisitionReference) -> Acquisition:
+    """Decode the files of one acquisition; raise DataError for one that is missing or damaged."""
+    before = pixels_before(reference)
+    frames = tuple(read_image(path, role) for role, path in reference.files.items())
+    keep_for_next(reference, frames)
+    return Acquisition(reference.id, frames, before=before)
 
 
 def in_turn(references: Iterable[AcquisitionReference]) -> list[AcquisitionReference]:
@@ -116,7 +122,7 @@ def read_image(path: Path, role: Role = "laser") -> Frame:
     """
     shown = printable(str(path))
     try:
-        if path.exists() and not path.is_file():
+        if not isinstance(path, Url) and path.exists() and not path.is_file():
             raise DataError(f"{shown}: not a file", hint="a folder, a pipe or a device has an image's name")
         data = path.read_bytes()
     except OSError as error:

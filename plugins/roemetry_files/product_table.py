@@ -7,13 +7,16 @@ import io
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from itertools import count, islice
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, ClassVar
+from tempfile import TemporaryDirectory
+from typing import IO, Any, ClassVar
 
 from pydantic import Field
 
-from roemetry.io.files import write_bytes, write_whole
+from roemetry.io.files import make_folder, whole_file
+from roemetry.io.remote import Url, path_of
 from roemetry.records import Estimate, Measurement
 from roemetry.records.units import NOT_STATED, mm3_to_cm3
 from roemetry.stages import Run, Sink, StageOptions
@@ -42,16 +45,15 @@ class CsvTable(Sink[CsvTableOptions]):
 
     def write(self, run: Run) -> Sequence[Path]:
         """Write the table from the run's measurements."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        features = features_of(run) if self.options.features else []
-        writer.writerow([*COLUMNS, *features])
-        for measurement in run.measurements():
-            given = given_features(measurement)
-            cells = [column(measurement) for column in COLUMNS.values()]
-            writer.writerow(map(_cell, [*cells, *(given.get(name) for name in features)]))
         path = run.folder / "results.csv"
-        write_whole(path, text.getvalue())
+        features = features_of(run) if self.options.features else []
+        with whole_file(path) as file, io.TextIOWrapper(file, "utf-8", newline="") as text:
+            writer = csv.writer(text, lineterminator="\n")
+            writer.writerow([*COLUMNS, *features])
+            for measurement in run.measurements():
+                given = given_features(measurement)
+                cells = [column(measurement) for column in COLUMNS.values()]
+                writer.writerow(map(_cell, [*cells, *(given.get(name) for name in features)]))
         return [path]
 
 
@@ -77,7 +79,7 @@ def _cell(value: Cell | None) -> Cell:
     return rounded(value) if isinstance(value, float) else value
 
 
-_FORMULA = ("=", "+", "-", "@", "\t")
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 def rounded(value: float) -> float:
@@ -154,38 +156,93 @@ COLUMNS: dict[str, Column] = {
 }
 
 
-class Parquet(Sink[StageOptions]):
+class ParquetOptions(StageOptions):
+    """Options of `Parquet`."""
+
+    folder: str | None = Field(
+        default=None,
+        description="folder or URL (s3://…) of a data set of many runs, to which this run is added as "
+        "day=<date>/run=<name>/results.parquet; default: results.parquet in the run's folder",
+    )
+
+
+class Parquet(Sink[ParquetOptions]):
     """Writes ``results.parquet``: the columns of ``results.csv`` and every feature, numbers unrounded.
 
     Column names are the headings in small letters with the unit at the end (``weight_g``). What is not known
-    or not stated is null; the unit stands in each field's metadata too.
+    or not stated is null; the unit stands in each field's metadata too. With a `folder`, the table becomes
+    one file of a data set by day, which DuckDB, pandas and Polars read as one table; written again, it takes
+    its own place. Rows go through memory in blocks, however many there are.
     """
+
+    Options: ClassVar[type[StageOptions]] = ParquetOptions
 
     def write(self, run: Run) -> Sequence[Path]:
         """Write the table from the run's measurements."""
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        rows = list(run.measurements())
-        found: dict[str, list[Any]] = {
-            heading: [_known(column(row)) for row in rows] for heading, column in COLUMNS.items()
-        }
-        for feature in features_of(run):
-            found[f"feature {feature}"] = [_known(given_features(row).get(feature)) for row in rows]
-        fields, arrays = [], []
-        for heading, values in found.items():
-            array = pa.array(values)
-            array = array.cast(pa.float64()) if pa.types.is_null(array.type) else array
-            unit = _unit(heading)
-            fields.append(pa.field(_name(heading), array.type, metadata={"unit": unit, "heading": heading}))
-            arrays.append(array)
-        provenance = {"title": run.title, "recipe_sha256": str(run.provenance.get("recipe_sha256", ""))}
-        table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=provenance))
-        sink = io.BytesIO()
-        pq.write_table(table, sink)
-        path = run.folder / "results.parquet"
-        write_bytes(path, sink.getvalue())
+        folder = run.folder
+        if self.options.folder is not None:
+            day = str(run.provenance.get("started") or "unknown")[:10]
+            folder = path_of(self.options.folder, Path()) / f"day={day}" / f"run={run.folder.resolve().name}"
+            if not isinstance(folder, Url):
+                make_folder(folder)
+        path = folder / "results.parquet"
+        with TemporaryDirectory(prefix=".parquet-", dir=run.folder) as blocks:
+            schema = _write_blocks(run, Path(blocks))
+            with whole_file(path) as file:
+                _join(Path(blocks), schema, file)
         return [path]
+
+
+def _write_blocks(run: Run, folder: Path) -> Any:
+    """Write the rows in blocks, each with the columns that it has; give the columns of all."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    rows, schemas = run.measurements(), list[Any]()
+    units: dict[str, dict[str, str]] = {}
+    for number in count():
+        found: dict[str, list[Any]] = {heading: [] for heading in COLUMNS}
+        rows_of = 0
+        for row in islice(rows, _BLOCK):
+            for heading, column in COLUMNS.items():
+                found[heading].append(_known(column(row)))
+            for feature, value in given_features(row).items():
+                values = found.setdefault(f"feature {feature}", [])
+                values += [None] * (rows_of - len(values))
+                values.append(_known(value))
+            rows_of += 1
+        if not rows_of and schemas:
+            break
+        for values in found.values():
+            values += [None] * (rows_of - len(values))
+        for heading in found:
+            units[_name(heading)] = {"unit": _unit(heading), "heading": heading}
+        table = pa.table({_name(one): pa.array(values, _type(one)) for one, values in found.items()})
+        pq.write_table(table, folder / f"{number:06d}")
+        schemas.append(table.schema)
+    provenance = {"title": run.title, "recipe_sha256": str(run.provenance.get("recipe_sha256", ""))}
+    fields = [pa.field(one.name, one.type, metadata=units[one.name]) for one in pa.unify_schemas(schemas)]
+    return pa.schema(fields, metadata=provenance)
+
+
+def _join(folder: Path, schema: Any, file: IO[bytes]) -> None:
+    """Write the blocks as one table."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with pq.ParquetWriter(file, schema) as writer:
+        for path in sorted(folder.iterdir()):
+            block = pq.read_table(path)
+            missing = pa.nulls(block.num_rows)
+            columns = [
+                (block[name] if name in block.column_names else missing).cast(schema.field(name).type)
+                for name in schema.names
+            ]
+            writer.write_table(pa.Table.from_arrays(columns, schema=schema))
+
+
+_BLOCK = 20_000
+"""Rows whose cells are held at once: 100 MB."""
 
 
 def _known(value: Any) -> Any:
@@ -195,6 +252,23 @@ def _known(value: Any) -> Any:
 def _unit(heading: str) -> str:
     inside = re.search(r"\((.+)\)$", heading)
     return inside.group(1) if inside else ""
+
+
+def _type(heading: str) -> str:
+    """Give the type of a column, the same in every run: what no row has would have none by its values."""
+    if heading in _TEXT or "by cause" in heading:
+        return "string"
+    return "int64" if heading in _COUNTS else "float64"
+
+
+_TEXT = frozenset(
+    {"id", "acquisition", "status", "grade", "decision", "lane", "reasons", "recipe sha256"}
+    | {"calibration sha256"}
+)
+_COUNTS = frozenset(
+    {"product", "stripes expected", "stripes seen", "peaks", "peaks coded", "peaks ambiguous"}
+    | {"product rows seen", "product rows interpolated"}
+)
 
 
 def _name(heading: str) -> str:

@@ -18,6 +18,7 @@ from roemetry_pinhole.boards import Seen
 from roemetry_pinhole.findings import findings_of
 from roemetry_pinhole.joint import Joint, camera_alone, joint, of_planes, planes_by_solids
 from roemetry_pinhole.known_files import read_planes
+from roemetry_pinhole.levelling import levelled
 from roemetry_pinhole.pinhole_plane import (
     METHOD,
     covariance_of,
@@ -77,6 +78,15 @@ class PinholeCalibratorOptions(StageOptions):
         default=None,
         description="where there is no belt: the pose, by the number in its image's name, whose board lies "
         "in the plane from which heights are measured",
+    )
+    gravity: tuple[float, float, float] | None = Field(
+        default=None,
+        description="with reference_pose: direction downwards in the camera's frame of the turned image (x "
+        "right, y down, z forward), as an inclinometer shows it; heights count along it from that board's "
+        "middle, and the board need not lie level",
+    )
+    gravity_std_deg: float = Field(
+        default=0.5, ge=0, description="standard uncertainty of the direction of gravity, degrees"
     )
     print_contrast_max: float = Field(
         default=0.25,
@@ -201,7 +211,13 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
         return found
 
     def _adjusted(self, observed: CalibrationSet, seen: Seen) -> Joint:
-        return joint(
+        options = self.options
+        if options.gravity is not None and options.reference_pose is None:
+            raise CalibrationError(
+                "gravity says how heights point and not where they begin",
+                hint="name the pose of a board in reference_pose: heights begin at its middle",
+            )
+        found = joint(
             observed,
             seen,
             lens=self.options.lens,
@@ -211,6 +227,14 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             planes=self._planes(),
             reference_pose=_plain_number(self.options.reference_pose),
         )
+        if options.gravity is None:
+            return found
+        number = next(number for number, view in enumerate(found.first.views) if view.on_belt)
+        pose, shape = found.pose[number], found.adjusted.geometry
+        middle = 0.5 * np.append(found.first.views[number].board.size_mm, 0.0)
+        middle_mm = shape.rotation[pose] @ middle + shape.shift[pose]
+        down = np.array(options.gravity)
+        return replace(found, adjusted=levelled(found.adjusted, middle_mm, down, options.gravity_std_deg))
 
     def _of_known_planes(self, joined: Joint) -> tuple[Floats, str]:
         """Give the covariance of planes and belt by what the known planes are uncertain by, and a note."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import groupby
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -29,10 +31,13 @@ from roemetry.records.arrays import Flags, Floats
 from roemetry.records.units import MM3_PER_CM3, NOT_STATED
 from roemetry.stages import Run
 from roemetry_report.charts import share_bar
+from roemetry_report.distributions import SHOWN_FROM, Cause, Distributions, Quantity, kinds_of
 from roemetry_report.words import budget, interval, percent, uncertainty, value
 
-ROWS_MAX = 2000
+ROWS_MAX = 500
 """Rows of the summary table; a page with more is no help to anyone."""
+_EXAMPLES = 2
+"""Acquisitions shown of each kind of row in a long run."""
 
 _SUSPECTS_PER_PLACE = 64
 """Rows remembered for each place among the worst: an acquisition may have many."""
@@ -44,7 +49,8 @@ class Shown:
 
     acquisition: str
     rows: tuple[Measurement, ...]
-    worst: bool
+    why: str = ""
+    """Why it is shown; nothing for one of the first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,47 +68,76 @@ class Overview:
     common: tuple[Reason, ...]
     shown: tuple[Shown, ...]
     calibrated: bool
+    quantities: tuple[Quantity, ...] = ()
+    causes: tuple[Cause, ...] = ()
+    """quantities, causes: of a long run."""
 
 
 def overview(run: Run, products_max: int, worst_max: int) -> Overview:
-    """Look through the record; show the first `products_max` rows, and so many of the worst others."""
+    """Look through the record, once; show the first `products_max` rows, and so many of the worst others.
+
+    Of a long run, examples of each kind of row take the places of the last among the first.
+    """
     statuses: Counter[str] = Counter()
     grades: Counter[str] = Counter()
     decisions: Counter[str] = Counter()
     rows: list[Measurement] = []
-    first: dict[str, None] = {}
-    suspects: list[tuple[float, int, str]] = []
+    first: list[Shown] = []
+    suspects: list[tuple[float, int, Shown]] = []
+    examples: dict[str, list[Shown]] = {}
+    seen = Distributions()
     common: tuple[Reason, ...] | None = None
     finite = False
-    for index, row in enumerate(run.measurements()):
-        statuses[row.status] += 1
-        if row.grade is not None:
-            grades[row.grade.label] += 1
-        if row.decision is not None:
-            decisions[row.decision.label] += 1
-        if index < ROWS_MAX:
-            rows.append(row)
+    index = 0
+    for acquisition, found in groupby(run.measurements(), attrgetter("acquisition")):
+        together = Shown(acquisition, tuple(found))
+        for row in together.rows:
+            statuses[row.status] += 1
+            if row.grade is not None:
+                grades[row.grade.label] += 1
+            if row.decision is not None:
+                decisions[row.decision.label] += 1
+            if len(rows) < ROWS_MAX:
+                rows.append(row)
+            finite |= row.volume is not None or math.isfinite(row.height_max_mm.value)
+            if row.status == "measured":
+                common = (
+                    row.all_reasons if common is None else tuple(r for r in common if r in row.all_reasons)
+                )
+            seen.add(row)
+            for kind in kinds_of(row):
+                if len(of_kind := examples.setdefault(kind, [])) < _EXAMPLES:
+                    of_kind.append(replace(together, why=f"an example of {kind}"))
         if index < products_max:
-            first[row.acquisition] = None
-        elif worst_max and row.acquisition not in first and (bad := badness(row)) > 0:
-            suspects.append((-bad, index, row.acquisition))
+            first.append(together)
+        elif worst_max and (bad := max(map(badness, together.rows))) > 0:
+            suspects.append((-bad, index, replace(together, why=FAULTY)))
             if len(suspects) > _SUSPECTS_PER_PLACE * worst_max:
                 suspects = sorted(suspects)[: len(suspects) // 2]
-        finite |= row.volume is not None or math.isfinite(row.height_max_mm.value)
-        if row.status == "measured":
-            common = row.all_reasons if common is None else tuple(r for r in common if r in row.all_reasons)
-    worst = list(dict.fromkeys(name for _, _, name in sorted(suspects)))[:worst_max]
-    total = sum(statuses.values())
+        index += len(together.rows)
+    long = index >= SHOWN_FROM
+    shown = {one.acquisition: one for one in first}
+    if long and index > products_max:
+        chosen = {one.acquisition: one for of_kind in examples.values() for one in of_kind}
+        chosen = {one.acquisition: one for one in first} | chosen
+        by_kind = sorted(chosen.values(), key=lambda one: not one.why)
+        shown = {one.acquisition: one for one in by_kind[:products_max]}
+    worst = [one for _, _, one in sorted(suspects) if one.acquisition not in shown]
     return Overview(
-        total=total,
+        total=index,
         statuses=statuses,
         grades=grades,
         decisions=decisions,
         rows=tuple(rows),
         common=common if common and statuses["measured"] > 1 else (),
-        shown=_with_rows(run, list(first), worst),
+        shown=(*shown.values(), *worst[:worst_max]),
         calibrated=_calibrated(run.provenance, finite),
+        quantities=seen.quantities() if long else (),
+        causes=seen.causes() if long else (),
     )
+
+
+FAULTY = "shown for its faults"
 
 
 def badness(row: Measurement) -> float:
@@ -120,16 +155,6 @@ def badness(row: Measurement) -> float:
     else:
         unseen = 0.0
     return max(ambiguous, unseen)
-
-
-def _with_rows(run: Run, first: list[str], worst: list[str]) -> tuple[Shown, ...]:
-    """Collect each chosen acquisition's rows, wherever they stand."""
-    chosen: dict[str, list[Measurement]] = {name: [] for name in (*first, *worst)}
-    if chosen:
-        for row in run.measurements():
-            if row.acquisition in chosen:
-                chosen[row.acquisition].append(row)
-    return tuple(Shown(name, tuple(rows), name in worst) for name, rows in chosen.items())
 
 
 def _calibrated(provenance: Mapping[str, object], finite: bool) -> bool:

@@ -22,6 +22,7 @@ from roemetry_report.charts import SmallChart, displacement_charts, height_chart
 from roemetry_report.height_panels import height_panels
 from roemetry_report.overview import (
     CLASSES,
+    FAULTY,
     ROWS_MAX,
     Overview,
     Pill,
@@ -83,6 +84,20 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
     """Write the whole page as one text, options as of `ReportOptions`."""
     seen = overview(run, products_max, worst_max)
     sections = [section(shown, run.replay, f"a{i + 1}") for i, shown in enumerate(seen.shown)]
+    while len(text := _rendered(run, seen, sections)) > _PAGE_MAX and sections:
+        # the mean overestimates a section, so what is too much may take another round
+        too_many = math.ceil((len(text) - _PAGE_MAX) / (len(text) / len(sections)))
+        plain_ones = [one for one in sections if not one["why"]]
+        gone = [*plain_ones[::-1], *[one for one in sections[::-1] if one["why"]]][:too_many]
+        sections = [one for one in sections if not any(one is other for other in gone)]
+    return text
+
+
+_PAGE_MAX = 14_000_000
+"""Letters of a page: 15 MB are still sent by mail, and opened on a telephone."""
+
+
+def _rendered(run: Run, seen: Overview, sections: list[dict[str, Any]]) -> str:
     anchors = {p["row"]["id"]: (s, p["key"]) for s in sections for p in s["products"]}
     # Not autoescape=select_autoescape(): the template's name ends in j2, and everything here is HTML.
     environment = Environment(
@@ -116,6 +131,8 @@ def page(run: Run, products_max: int, worst_max: int) -> str:
         ],
         counted=counted,
         trust_classes=CLASSES,
+        faulty=FAULTY,
+        folder=run.folder.name,
     )
 
 
@@ -187,8 +204,8 @@ def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> dict[str,
     return {
         "key": key,
         "acquisition": shown.acquisition,
-        "worst": shown.worst,
-        "is_first": key == "a1" and not shown.worst,
+        "why": shown.why,
+        "is_first": key == "a1" and shown.why != FAULTY,
         "panels": drawn,
         "no_pictures": no_pictures,
         "products": tuple(_product(row, trace, f"{key}-p{row.product}", key) for row in shown.rows),

@@ -36,7 +36,9 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry.records import Product, Profiles, Relief
-from roemetry.records.arrays import Flags, Floats
+from roemetry.records.arrays import Floats
+from roemetry_kernels.compiling import float_kernel, kernel
+from roemetry_kernels.image_levels import median_of
 from roemetry_shape.product_frame import (
     EVEN,
     SAMPLES,
@@ -157,36 +159,46 @@ def _above_foot(sections: Sections) -> Sections:
     Where a section's last lit row lies on its steep foot is a matter of light: an edge that is seen 1 mm
     farther out moves the middle by half of it, and a dome off its middle leans.
     """
-    height, across = sections.height_mm, sections.across_mm
-    level = _FOOT * height.max(axis=1)
-    inside = height >= level[:, None]
-    low, high = (
-        _place_of_level(height[:, ::way], across[:, ::way], level, inside[:, ::way]) for way in (1, -1)
+    middle, half, height = from_foot_to_foot(
+        sections.height_mm, sections.across_mm, sections.middle_mm, sections.half_width_mm
     )
-    half = np.maximum(0.5 * (high - low), 1e-6)
-    at = low[:, None] + (high - low)[:, None] * (0.5 + 0.5 * EVEN)
-    middle = np.column_stack([sections.middle_mm[:, 0], sections.middle_mm[:, 1] + 0.5 * (low + high)])
-    # samples of a section are even, so the two beside a place are known without a search
-    first, step = across[:, :1], (across[:, -1:] - across[:, :1]) / (SAMPLES - 1)
-    share = np.clip((at - first) / np.maximum(step, 1e-12), 0.0, SAMPLES - 1.0)
-    below = np.minimum(share.astype(np.int64), SAMPLES - 2)
-    share -= below
-    lower, upper = (np.take_along_axis(height, below + k, axis=1) for k in (0, 1))
     return sections._replace(
-        middle_mm=middle,
-        half_width_mm=half,
-        height_mm=lower + share * (upper - lower),
-        across_mm=half[:, None] * EVEN,
+        middle_mm=middle, half_width_mm=half, height_mm=height, across_mm=half[:, None] * EVEN
     )
 
 
-def _place_of_level(height: Floats, across: Floats, level: Floats, inside: Flags) -> Floats:
-    """(section,) place where each section first reaches a level, between two samples."""
-    each, first = np.arange(len(height)), inside.argmax(axis=1)
-    before = np.maximum(first - 1, 0)
-    rise = np.maximum(height[each, first] - height[each, before], 1e-9)
-    back = np.where(first > 0, (height[each, first] - level) / rise, 0.0)
-    return np.asarray(across[each, first] - (across[each, first] - across[each, before]) * back)
+@float_kernel
+def from_foot_to_foot(
+    height_mm: Floats, across_mm: Floats, middle_mm: Floats, half_width_mm: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Give (section, 2) middles, (section,) half widths and (section, sample) heights above the foot."""
+    sections, last = half_width_mm.size, SAMPLES - 1
+    middle, half, out = middle_mm.copy(), np.empty(sections), np.empty((sections, SAMPLES))
+    for k in range(sections):
+        height, across = height_mm[k], across_mm[k]
+        level = _FOOT * height.max()
+        low, high = 0, last
+        while low < last and height[low] < level:
+            low += 1
+        while high > 0 and height[high] < level:
+            high -= 1
+        from_mm, to_mm = across[low], across[high]
+        if low > 0:
+            back = (height[low] - level) / max(height[low] - height[low - 1], 1e-9)
+            from_mm -= (across[low] - across[low - 1]) * back
+        if high < last:
+            back = (height[high] - level) / max(height[high] - height[high + 1], 1e-9)
+            to_mm -= (across[high] - across[high + 1]) * back
+        half[k] = max(0.5 * (to_mm - from_mm), 1e-6)
+        middle[k, 1] += 0.5 * (from_mm + to_mm)
+        step = max((across[last] - across[0]) / last, 1e-12)
+        for j in range(SAMPLES):
+            at = from_mm + (to_mm - from_mm) * (0.5 + 0.5 * EVEN[j])
+            share = min(max((at - across[0]) / step, 0.0), last)
+            below = min(int(share), last - 1)
+            share -= below
+            out[k, j] = height[below] + share * (height[below + 1] - height[below])
+    return middle, half, out
 
 
 _FOOT = 0.4
@@ -208,7 +220,7 @@ def _size(frame: Frame) -> dict[str, float]:
         "section_area_max_mm2": float(area.max()),
         # How much of its own box a section fills: a half-ellipse π/4, a box 1, a hollow one less.
         "fullness_least": float(full.min()),
-        "fullness_median": float(np.median(full)),
+        "fullness_median": median_of(full),
     }
 
 
@@ -280,11 +292,11 @@ _INNER, _SHOULDER = (0.05, 0.4), (0.4, 0.7)
 
 def _lean(sections: Sections) -> dict[str, float]:
     """Lean of the sections to one side, and how it changes along: twist."""
-    inner, shoulder = (_leans(sections, part) for part in (_INNER, _SHOULDER))
+    inner, shoulder = np.degrees(np.arctan(_LEANS @ sections.height_mm.T / sections.half_width_mm))
     turn = float(_U @ inner) / float(_U @ _U)  # over half the length: stations are even
     rest = (inner - inner.mean() - turn * _U)[_ALONG]
     ratio = sections.peak_mm / np.maximum(2.0 * sections.half_width_mm, 1e-9)
-    middle = float(np.median(ratio[2 * _FIFTH : -2 * _FIFTH]))
+    middle: float = median_of(ratio[2 * _FIFTH : -2 * _FIFTH])
     return {
         "twist_deg": 2.0 * abs(turn),
         "twist_of_ends_deg": _end_to_end(inner),
@@ -296,12 +308,14 @@ def _lean(sections: Sections) -> dict[str, float]:
     }
 
 
-def _leans(sections: Sections, part: tuple[float, float]) -> Floats:
-    """(station,) angle by which one flank is higher than the other, over part of the half width, degrees."""
-    chosen = np.flatnonzero((part[0] < EVEN) & (part[1] > EVEN))
-    odd = 0.5 * (sections.height_mm - sections.height_mm[:, ::-1])[:, chosen]
-    slope = (odd / (EVEN[chosen] * sections.half_width_mm[:, None])).mean(axis=1)
-    return np.asarray(np.degrees(np.arctan(slope)))
+def _lean_weights(part: tuple[float, float]) -> Floats:
+    """(sample,) what gives, of heights, the mean slope to one side over part of the half width."""
+    weights = np.where((np.abs(EVEN) > part[0]) & (np.abs(EVEN) < part[1]), 1.0, 0.0)
+    return np.asarray(weights / np.where(weights > 0.0, EVEN, 1.0) / weights.sum())
+
+
+_LEANS = np.stack([_lean_weights(part) for part in (_INNER, _SHOULDER)])
+"""(2, sample) of the part near the ridge, and of the flanks."""
 
 
 def _end_to_end(values: Floats) -> float:
@@ -320,12 +334,12 @@ def _hollows(sections: Sections) -> dict[str, float]:
     deepest, saddles = across.max(axis=1), np.sort(along.max(axis=1))
     cup = np.minimum(across[_ALONG][:, _LINES], along.T)
     step = float(sections.along_mm[1])
-    sample = (2.0 * sections.half_width_mm / (SAMPLES - 1) * step)[:, None]  # mm² of a sample
-    every_second = np.broadcast_to(2.0 * sample[_ALONG], cup.shape)
+    sample = 2.0 * sections.half_width_mm / (SAMPLES - 1) * step  # mm² of a sample
+    every_second = 2.0 * sample[_ALONG]
     dents = [one for one in regions_of(across, sections, DENT_LEAST_MM) if one.area_mm2 >= _PATCH_MM2]
     return {
-        "hollow_depth_mm": _reached(across, np.broadcast_to(sample, across.shape)),
-        "hollow_median_mm": float(np.median(deepest)),
+        "hollow_depth_mm": depth_reached(across, sample, _PATCH_MM2),
+        "hollow_median_mm": median_of(deepest),
         "hollow_mean_mm": float(across.mean()),
         "dent_depth_mm": dents[0].depth_mm if dents else 0.0,
         "dent_area_mm2": dents[0].area_mm2 if dents else 0.0,
@@ -334,53 +348,73 @@ def _hollows(sections: Sections) -> dict[str, float]:
         "saddle_share": float(saddles[-3]) / _thick(sections),
         "saddle_median_mm": float(saddles[len(saddles) // 2]),
         "saddle_least_mm": float(saddles[len(saddles) // 10]),
-        "cup_depth_mm": _reached(cup, every_second),
-        "cup_volume_mm3": float((cup * every_second).sum()),
+        "cup_depth_mm": depth_reached(cup, every_second, _PATCH_MM2),
+        "cup_volume_mm3": float(cup.sum(axis=1) @ every_second),
     }
 
 
-def _reached(depth: Floats, area_mm2: Floats) -> float:
-    """Depth that `_PATCH_MM2` of the surface reach, mm, of depths of samples and their areas."""
-    order = np.argsort(-depth, axis=None)
-    total = np.cumsum(area_mm2.ravel()[order])
-    return float(depth.ravel()[order[min(int((total < _PATCH_MM2).sum()), order.size - 1)]])
+@kernel
+def depth_reached(depth: Floats, area_mm2: Floats, patch_mm2: float) -> float:
+    """Depth that so much of the surface reaches: (row, sample) depths, and (row,) each sample's area."""
+    most = min(int(patch_mm2 / area_mm2.min()) + 1, depth.size)
+    deepest, area = np.full(most, -np.inf), np.zeros(most)
+    for row in range(depth.shape[0]):
+        for sample in range(depth.shape[1]):
+            value, k = depth[row, sample], most - 1
+            if not value > deepest[k]:
+                continue
+            while k > 0 and value > deepest[k - 1]:
+                deepest[k], area[k] = deepest[k - 1], area[k - 1]
+                k -= 1
+            deepest[k], area[k] = value, area_mm2[row]
+    total = 0.0
+    for k in range(most):
+        total += area[k]
+        if total >= patch_mm2:
+            return float(deepest[k])
+    return float(deepest[most - 1])
 
 
 def _pits(sections: Sections) -> dict[str, float]:
     """Depth below a smooth dome that fits most of the surface, and how smooth the surface is against it."""
     off = (sections.height_mm - dome_of(sections))[_ALONG, _ACROSS]
-    sample = 2.0 * sections.half_width_mm[_ALONG, None] / (SAMPLES - 1) * sections.along_mm[1]
+    sample = 2.0 * sections.half_width_mm[_ALONG] / (SAMPLES - 1) * sections.along_mm[1]
     return {
-        "pit_depth_mm": max(_reached(-off, np.broadcast_to(sample, off.shape)), 0.0),
+        "pit_depth_mm": max(depth_reached(-off, sample, _PATCH_MM2), 0.0),
         "off_dome_mm": _rms(off),
-        "off_dome_median_mm": float(np.median(np.abs(off))),
+        "off_dome_median_mm": median_of(np.abs(off).ravel()),
     }
 
 
 def _runs(sections: Sections) -> dict[str, float]:
     """Run of height and width along the product, as shares of the largest: ends cut off, dips and bumps."""
-    told: dict[str, float] = {}
-    for name, values, kept in (
-        ("height", sections.peak_mm, ("end_low", "tenth_low", "tenth_high", "arch", "dip", "bump")),
-        ("ridge", sections.height_mm[:, SAMPLES // 2], ("dip", "bump", "uneven")),
-        ("width", sections.half_width_mm, ("end_high", "tenth_low", "tenth_high", "bump")),
-    ):
-        share = values / max(float(values.max()), 1e-9)
-        smooth = _QUARTIC_FIT @ share
-        rest = share - _QUARTIC @ smooth
-        ends, tenths = np.sort(share[[0, -1]]), np.sort(share[[_TENTH, -1 - _TENTH]])
-        every = {
-            "end_low": ends[0],
-            "end_high": ends[1],
-            "tenth_low": tenths[0],
-            "tenth_high": tenths[1],
-            "arch": -smooth[2],
-            "dip": -rest[3:-3].min(),
-            "bump": rest[3:-3].max(),
-            "uneven": _rms(rest),
-        }
-        told |= {f"{name}_{which}": float(every[which]) for which in kept}
-    return told
+    runs = np.stack([sections.peak_mm, sections.height_mm[:, SAMPLES // 2], sections.half_width_mm])
+    share = runs / np.maximum(runs.max(axis=1), 1e-9)[:, None]
+    smooth = share @ _QUARTIC_FIT.T
+    rest = share - smooth @ _QUARTIC.T
+    ends, tenths = np.sort(share[:, [0, -1]]), np.sort(share[:, [_TENTH, -1 - _TENTH]])
+    every = {
+        "end_low": ends[:, 0],
+        "end_high": ends[:, 1],
+        "tenth_low": tenths[:, 0],
+        "tenth_high": tenths[:, 1],
+        "arch": -smooth[:, 2],
+        "dip": -rest[:, 3:-3].min(axis=1),
+        "bump": rest[:, 3:-3].max(axis=1),
+        "uneven": np.sqrt((rest**2).mean(axis=1)),
+    }
+    return {
+        f"{name}_{which}": float(every[which][k])
+        for k, (name, kept) in enumerate(_KEPT_OF_RUNS.items())
+        for which in kept
+    }
+
+
+_KEPT_OF_RUNS = {
+    "height": ("end_low", "tenth_low", "tenth_high", "arch", "dip", "bump"),
+    "ridge": ("dip", "bump", "uneven"),
+    "width": ("end_high", "tenth_low", "tenth_high", "bump"),
+}
 
 
 def _beyond(cuts: Sections, pitch_mm: float) -> dict[str, float]:
@@ -389,12 +423,13 @@ def _beyond(cuts: Sections, pitch_mm: float) -> dict[str, float]:
     More than one was looked for and not found: there the product is cut off.
     """
     told = {}
-    for name, size in (("area", cuts.area_mm2), ("width", cuts.half_width_mm**2)):
-        steps = np.abs(np.diff(cuts.along_mm))[[0, -1]]
-        falls = np.array([size[1] - size[0], size[-2] - size[-1]]) / np.maximum(steps, 1e-3)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            beyond = np.where(falls > 0.0, size[[0, -1]] / falls / max(pitch_mm, 1e-3), np.inf)
-        told[f"stripes_missing_by_{name}"] = float(np.minimum(beyond, _MISSING_MOST).max())
+    for name, size in (("area", cuts.area_mm2.tolist()), ("width", (cuts.half_width_mm**2).tolist())):
+        most = 0.0
+        for outer, inner in ((0, 1), (-1, -2)):
+            step = abs(float(cuts.along_mm[inner] - cuts.along_mm[outer]))
+            fall = (size[inner] - size[outer]) / max(step, 1e-3)
+            most = max(most, size[outer] / fall / max(pitch_mm, 1e-3) if fall > 0.0 else _MISSING_MOST)
+        told[f"stripes_missing_by_{name}"] = min(most, _MISSING_MOST)
     return told
 
 

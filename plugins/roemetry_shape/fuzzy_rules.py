@@ -16,6 +16,8 @@ from roemetry.stages import Classifier, StageOptions
 from roemetry_shape.features import SMOOTHING_MM, shape_of
 
 UNKNOWN = "unknown"
+_NEARLY = 0.5
+"""Of the truest class's truth: another so true could as well be meant, were a feature off by its noise."""
 _FEW = "fewer than three stripes show a cross-section: there is no shape to judge"
 _NOT = "not "
 
@@ -77,8 +79,8 @@ class FuzzyRules(Classifier[FuzzyRulesOptions]):
     """Calls a product by the class whose rules are truest (Zadeh 1965; Mamdani and Assilian 1975).
 
     A term's truth is read off its straight lines; ``not`` is 1 − truth; a rule is as true as its least true
-    term, a class as its truest rule. ``unknown`` is the answer where no class is true enough, or two are
-    equally true.
+    term, a class as its truest rule. ``unknown`` is the answer where no class is true enough, or where the
+    second is more than half as true as the first.
     """
 
     Options: ClassVar[type[StageOptions]] = FuzzyRulesOptions
@@ -102,8 +104,8 @@ class FuzzyRules(Classifier[FuzzyRulesOptions]):
         if not ranked or ranked[0][1] < self.options.truth_min:
             why = f"no class is true to {self.options.truth_min:g}"
             return Grade(UNKNOWN, features=told, reasons=(Reason("no-rule-holds", why),))
-        if len(ranked) > 1 and math.isclose(ranked[0][1], ranked[1][1], abs_tol=1e-9):
-            why = f"{ranked[0][0]} and {ranked[1][0]} are equally true ({ranked[0][1]:.2f})"
+        if len(ranked) > 1 and ranked[1][1] > _NEARLY * ranked[0][1]:
+            why = " and ".join(f"{name} ({value:.2f})" for name, value in ranked[:2]) + " are nearly as true"
             return Grade(UNKNOWN, features=told, reasons=(Reason("rules-tie", why),))
         label, truth = ranked[0]
         said = ", ".join(f"{name} {value:.2f}" for name, value in ranked[:3])

@@ -115,7 +115,7 @@ class SeenClasses(NamedTuple):
     def distances(self, values: Floats) -> Floats:
         """(sample,) distances from the nearest class, in its standard deviations, of (sample, feature)."""
         off = (arcsinh_scale(values)[:, None] - self.centres) / self.spread
-        squares = np.einsum("ncf,cfg,ncg->nc", off, self.precision, off)
+        squares = np.einsum("ncf,cnf->nc", off, off.swapaxes(0, 1) @ self.precision)
         return np.asarray(np.sqrt(squares.min(axis=1) / values.shape[1]))
 
     def excess(self, values: Floats) -> Floats:

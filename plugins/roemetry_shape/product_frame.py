@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.records import Product, Profiles
+from roemetry.records import Product, Profiles, sight_lines
 from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.image_levels import median_of
@@ -52,43 +52,93 @@ class Frame(NamedTuple):
 
 def in_product_frame(sections: Sections) -> Frame:
     """Cut a product's surface square to its axis; `sections` are at least three cuts along stripes."""
-    points = np.stack(
-        [
-            sections.x_mm,
-            sections.middle_mm[:, 1:] + sections.across_mm,
-            sections.height_mm,
-        ],
-        axis=-1,
+    at, middle, half, height, x_mm, pitch, missing = cut_square(
+        sections.x_mm, sections.middle_mm, sections.half_width_mm, sections.height_mm
     )
-    area = sections.area_mm2
-    s, t, z = _along_the_axis(points, area)
-    middle = SAMPLES // 2
-    order = np.argsort(s[:, middle], kind="stable")
-    s, t, z, area = s[order], t[order], z[order], area[order]
-    at = np.linspace(s[0, middle], s[-1, middle], STATIONS)
-    knots = _rising(s)
-    heights, across = lofted(knots, np.stack([z, t]), at)
-    pitch = float(np.median(np.diff(s[:, middle])))
-    return Frame(_square(at, across, np.maximum(heights, 0.0)), pitch, _missing(s[:, middle], area, pitch))
+    square = Sections(
+        stripe=np.arange(STATIONS),
+        along_mm=at - at[0],
+        middle_mm=middle,
+        half_width_mm=half,
+        height_mm=height,
+        across_mm=half[:, None] * EVEN,
+        x_mm=x_mm,
+    )
+    return Frame(square, pitch, missing)
 
 
-def _along_the_axis(points: Floats, area: Floats) -> tuple[Floats, Floats, Floats]:
-    """Turn points about Z so that the line through the middles, weighed by area, lies along s."""
-    x, y, z = np.moveaxis(points, -1, 0)
-    middle_x, middle_y = x[:, SAMPLES // 2], 0.5 * (y[:, 0] + y[:, -1])
-    weight = area / area.sum()
-    x0, y0 = float(weight @ middle_x), float(weight @ middle_y)
-    off_x, off_y = middle_x - x0, middle_y - y0
-    # Slope by least squares over x: cuts lie along x by their nature.
-    angle = math.atan2(float(weight @ (off_x * off_y)), float(weight @ off_x**2))
+@float_kernel
+def cut_square(
+    x_mm: Floats, middle_mm: Floats, half_width_mm: Floats, height_mm: Floats
+) -> tuple[Floats, Floats, Floats, Floats, Floats, float, Floats]:
+    """Loft cuts and cut them again, square to their axis.
+
+    Parameters
+    ----------
+    x_mm, middle_mm, half_width_mm, height_mm
+        As in `Sections`.
+
+    Returns
+    -------
+    at : ndarray, shape (STATIONS,)
+        Places along the axis.
+    middle, half, height, x : ndarray, shape (STATIONS, 2), (STATIONS,), (STATIONS, SAMPLES) twice
+        As in `Sections`, in the product's frame.
+    pitch, missing
+        As in `Frame`.
+    """
+    cuts, central = half_width_mm.size, SAMPLES // 2
+    area, off_x, off_y = np.empty(cuts), x_mm[:, central].copy(), middle_mm[:, 1].copy()
+    for k in range(cuts):
+        inner = height_mm[k].sum() - 0.5 * (height_mm[k, 0] + height_mm[k, SAMPLES - 1])
+        area[k] = inner * 2.0 * half_width_mm[k] / (SAMPLES - 1)
+    # the line through the middles, weighed by area; its slope by least squares over x, along which cuts lie
+    whole, x0, y0 = area.sum(), 0.0, 0.0
+    for k in range(cuts):
+        x0 += area[k] / whole * off_x[k]
+        y0 += area[k] / whole * off_y[k]
+    rise, run = 0.0, 0.0
+    for k in range(cuts):
+        off_x[k] -= x0
+        off_y[k] -= y0
+        rise += area[k] / whole * off_x[k] * off_y[k]
+        run += area[k] / whole * off_x[k] * off_x[k]
+    angle = math.atan2(rise, run)
     c, q = math.cos(angle), math.sin(angle)
-    return c * (x - x0) + q * (y - y0), c * (y - y0) - q * (x - x0), z
-
-
-def _rising(s: Floats) -> Floats:
-    """Make the places of each sample rise from cut to cut by at least `_STEP_MIN_MM`."""
-    least = _STEP_MIN_MM * np.arange(len(s))[:, None]
-    return np.asarray(np.maximum.accumulate(s - least, axis=0) + least)
+    # in the order of their middles along the axis; the place of each sample rises from cut to cut
+    order, along, sized = np.argsort(c * off_x + q * off_y, kind="mergesort"), np.empty(cuts), area.copy()
+    knots, surface = np.empty((cuts, SAMPLES)), np.empty((2, cuts, SAMPLES))
+    for k in range(cuts):
+        of = order[k]
+        sized[k] = area[of]
+        for j in range(SAMPLES):
+            x, y = x_mm[of, j] - x0, middle_mm[of, 1] + half_width_mm[of] * EVEN[j] - y0
+            s = c * x + q * y
+            if j == central:
+                along[k] = s
+            knots[k, j] = max(s, knots[k - 1, j] + _STEP_MIN_MM) if k else s
+            surface[0, k, j], surface[1, k, j] = height_mm[of, j], c * y - q * x
+    at = along[0] + (along[-1] - along[0]) / (STATIONS - 1) * np.arange(STATIONS)
+    square = lofted(knots, surface, at)
+    heights, across = square[0], square[1]
+    middle, half = np.empty((STATIONS, 2)), np.empty(STATIONS)
+    grid, x_out = np.empty((STATIONS, SAMPLES)), np.empty((STATIONS, SAMPLES))
+    for i in range(STATIONS):
+        for j in range(SAMPLES):
+            heights[i, j] = max(heights[i, j], 0.0)
+            if j:
+                across[i, j] = max(across[i, j], across[i, j - 1])
+        half[i] = max(0.5 * (across[i, SAMPLES - 1] - across[i, 0]), 1e-6)
+        middle[i, 0], middle[i, 1] = at[i], 0.5 * (across[i, 0] + across[i, SAMPLES - 1])
+        for j in range(SAMPLES):
+            grid[i, j], x_out[i, j] = middle[i, 1] + half[i] * EVEN[j], at[i]
+    pitch, missing = median_of(along[1:] - along[:-1]), np.empty(2)
+    for end in range(2):
+        outer, inner_one = (0, 1) if end == 0 else (cuts - 1, cuts - 2)
+        # where the area, falling as from the cut before it, would be nothing
+        fall = (sized[inner_one] - sized[outer]) / max(abs(along[inner_one] - along[outer]), 1e-6)
+        missing[end] = min(sized[outer] / fall, pitch) if fall > 0.0 else 0.5 * pitch
+    return at, middle, half, on_even_places(across, heights, grid), x_out, pitch, missing
 
 
 @float_kernel
@@ -143,34 +193,6 @@ def on_even_places(across: Floats, heights: Floats, grid: Floats) -> Floats:
             share = min(max((place - across[row, before]) / wide, 0.0), 1.0) if wide > 0.0 else 1.0
             out[row, k] = heights[row, before] + share * (heights[row, before + 1] - heights[row, before])
     return out
-
-
-def _square(at: Floats, across: Floats, heights: Floats) -> Sections:
-    """Put stations on even places from edge to edge."""
-    across = np.maximum.accumulate(across, axis=1)
-    low, high = across[:, 0], across[:, -1]
-    half = np.maximum(0.5 * (high - low), 1e-6)
-    middle = 0.5 * (low + high)
-    grid = middle[:, None] + half[:, None] * EVEN
-    height = on_even_places(across, heights, grid)
-    return Sections(
-        stripe=np.arange(len(at)),
-        along_mm=at - at[0],
-        middle_mm=np.column_stack([at, middle]),
-        half_width_mm=half,
-        height_mm=height,
-        across_mm=half[:, None] * EVEN,
-        x_mm=np.broadcast_to(at[:, None], height.shape),
-    )
-
-
-def _missing(s: Floats, area: Floats, pitch: float) -> Floats:
-    """Length beyond each outer cut: where its area, falling as from the cut before it, would be nothing."""
-    found = []
-    for place, size in ((s, area), (-s[::-1], area[::-1])):
-        fall = (size[1] - size[0]) / max(place[1] - place[0], 1e-6)
-        found.append(min(size[0] / fall, pitch) if fall > 0.0 else 0.5 * pitch)
-    return np.array(found)
 
 
 SAMPLES = 65
@@ -242,78 +264,94 @@ def cut_of(profiles: Profiles, product: int, smoothing_mm: float) -> Sections:
     xyz = profiles.xyz_mm[curves.slice, curves.point]
     if smoothing_mm and len(xyz) > 1:
         xyz = smoothed(curves, xyz, _window(xyz[:, 1], smoothing_mm))
-    order = np.lexsort((xyz[:, 1], curves.slice))
-    xyz, slices = xyz[order], curves.slice[order]
-    bounds = np.append(np.flatnonzero(np.diff(slices, prepend=-1)), slices.size)
-    begin, middle, half, height, x_mm = cuts_in_line(xyz, bounds)
-    order = np.argsort(middle[:, 0], kind="stable")
-    peak = height[order].max(axis=1)
-    high = np.flatnonzero(peak >= _SLIVER * peak.max(initial=0.0))
-    order = order[high[0] : high[-1] + 1] if high.size else order[:0]
-    middle, half = middle[order], half[order]
+    slices, middle, half, height, x_mm = cuts_in_line(xyz, curves.slice)
     step = middle[1:] - middle[:-1]
     return Sections(
-        stripe=profiles.stripe[slices[begin[order]]].astype(np.int64),
-        along_mm=np.append(0.0, np.cumsum(np.hypot(step[:, 0], step[:, 1])))[: order.size],
+        stripe=profiles.stripe[slices].astype(np.int64),
+        along_mm=np.append(0.0, np.cumsum(np.hypot(step[:, 0], step[:, 1])))[: half.size],
         middle_mm=middle,
         half_width_mm=half,
-        height_mm=height[order],
+        height_mm=height,
         across_mm=half[:, None] * EVEN,
-        x_mm=x_mm[order],
+        x_mm=x_mm,
     )
 
 
 @kernel
-def cuts_in_line(xyz: Floats, bounds: Integers) -> tuple[Integers, Floats, Floats, Floats, Floats]:
-    """Put each slice's points on even places across; slices too short or too torn are left out.
+def cuts_in_line(xyz: Floats, slices: Integers) -> tuple[Integers, Floats, Floats, Floats, Floats]:
+    """Put each slice's points on even places across; slices too short, too torn or too low are left out.
 
     Parameters
     ----------
     xyz : ndarray, shape (n, 3)
-        Slice after slice, along rising y; of points at one place the first counts.
-    bounds : ndarray, shape (slices + 1,)
-        Where each slice begins, and the end.
+        Slice after slice; of points at one place the first counts.
+    slices : ndarray, shape (n,)
+        The slice of each.
 
     Returns
     -------
-    begin : ndarray, shape (cut,)
-        Where the slice of each cut begins.
+    slice : ndarray, shape (cut,)
+        The slice of each cut, in the order in which their middles lie along x.
     middle, half, height, x : ndarray, shape (cut, 2), (cut,), (cut, SAMPLES), (cut, SAMPLES)
         As in `Sections`.
     """
-    most, count = bounds.size - 1, 0
-    begins, middle, half = np.empty(most, np.int64), np.empty((most, 2)), np.empty(most)
+    total, most = slices.size, 0
+    for k in range(total):
+        most += k == 0 or slices[k] != slices[k - 1]
+    of, middle, half = np.empty(most, np.int64), np.empty((most, 2)), np.empty(most)
     height, x_mm = np.empty((most, SAMPLES)), np.empty((most, SAMPLES))
-    on = np.empty_like(xyz)
-    for k in range(most):
+    on, order, count, begin = np.empty_like(xyz), np.empty(total, np.int64), 0, 0
+    while begin < total:
+        stop = begin
+        while stop < total and slices[stop] == slices[begin]:
+            stop += 1
+        placed = 0
+        for m in range(stop - 1, begin - 1, -1):  # rows run down, y up: each mostly goes to the end
+            k = placed
+            while k > 0 and xyz[order[k - 1], 1] >= xyz[m, 1]:
+                order[k] = order[k - 1]
+                k -= 1
+            order[k] = m
+            placed += 1
         points, step = 0, 0.0
-        for m in range(bounds[k], bounds[k + 1]):
-            if m == bounds[k] or xyz[m, 1] > xyz[m - 1, 1]:
+        for k in range(placed):
+            m = order[k]
+            if k == 0 or xyz[m, 1] > on[points - 1, 1]:
                 on[points] = xyz[m]
                 if points:
                     step = max(step, on[points, 1] - on[points - 1, 1])
                 points += 1
         low, wide = on[0, 1], on[points - 1, 1] - on[0, 1]
-        if points < _POINTS_MIN or wide < _WIDTH_MIN_MM or step > _GAP_MAX * wide:
-            continue
-        before = 0
-        for sample in range(SAMPLES):
-            y = low + wide * sample / (SAMPLES - 1)
-            while before < points - 2 and on[before + 1, 1] <= y:
-                before += 1
-            share = (y - on[before, 1]) / (on[before + 1, 1] - on[before, 1])
-            height[count, sample] = on[before, 2] + share * (on[before + 1, 2] - on[before, 2])
-            x_mm[count, sample] = on[before, 0] + share * (on[before + 1, 0] - on[before, 0])
-        begins[count], half[count] = bounds[k], 0.5 * wide
-        middle[count, 0] = median_of(xyz[bounds[k] : bounds[k + 1], 0].copy())
-        middle[count, 1] = low + 0.5 * wide
-        count += 1
-    return begins[:count], middle[:count], half[:count], height[:count], x_mm[:count]
+        if points >= _POINTS_MIN and wide >= _WIDTH_MIN_MM and step <= _GAP_MAX * wide:
+            before = 0
+            for sample in range(SAMPLES):
+                y = low + wide * sample / (SAMPLES - 1)
+                while before < points - 2 and on[before + 1, 1] <= y:
+                    before += 1
+                share = (y - on[before, 1]) / (on[before + 1, 1] - on[before, 1])
+                height[count, sample] = on[before, 2] + share * (on[before + 1, 2] - on[before, 2])
+                x_mm[count, sample] = on[before, 0] + share * (on[before + 1, 0] - on[before, 0])
+            of[count], half[count] = slices[begin], 0.5 * wide
+            middle[count, 0] = median_of(xyz[begin:stop, 0].copy())
+            middle[count, 1] = low + 0.5 * wide
+            count += 1
+        begin = stop
+    along = np.argsort(middle[:count, 0], kind="mergesort")
+    peak = np.empty(count)
+    for k in range(count):
+        peak[k] = height[along[k]].max()
+    first, last = 0, count
+    while first < last and peak[first] < _SLIVER * peak.max():
+        first += 1
+    while last > first and peak[last - 1] < _SLIVER * peak.max():
+        last -= 1
+    kept = along[first:last]
+    return of[kept], middle[kept], half[kept], height[kept], x_mm[kept]
 
 
 def _window(y_mm: Floats, smoothing_mm: float) -> int:
     """Odd number of points whose length is nearest to `smoothing_mm`."""
-    step = float(np.median(np.abs(np.diff(y_mm))))
+    step: float = median_of(np.abs(y_mm[1:] - y_mm[:-1]))
     return 2 * round(0.5 * (smoothing_mm / max(step, 1e-3) - 1.0)) + 1
 
 
@@ -339,12 +377,14 @@ def outline_features(product: Product, sections: Sections) -> dict[str, float]:
     import cv2
 
     ends_mm = np.maximum(sections.height_mm[:, _ENDS], 0.0)
-    x, y = view.at_height(outline.xy_px, float(np.median(ends_mm)))[:, :2].T
+    start, way = sight_lines(view, outline)
+    along = (median_of(ends_mm.ravel()) - start[:, 2]) / way[:, 2]
+    x, y = (start[:, k] + along * way[:, k] for k in (0, 1))
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         return seen
     # OpenCV reckons in float32: about the middle that is enough.
-    about = np.column_stack([x - x.mean(), y - y.mean()])
-    sides = cv2.minAreaRect(about.astype(np.float32))[1]
-    area = 0.5 * abs(float(about[:, 0] @ np.roll(about[:, 1], -1) - about[:, 1] @ np.roll(about[:, 0], -1)))
+    about = np.stack([x - x.mean(), y - y.mean()], axis=1).astype(np.float32)
+    sides = cv2.minAreaRect(about)[1]
+    area = 0.5 * abs(float(x[:-1] @ y[1:] - y[:-1] @ x[1:] + x[-1] * y[0] - y[-1] * x[0]))
     size = {"length_mm": float(max(sides)), "across_mm": float(min(sides)), "footprint_mm2": area}
     return {**size, **seen}

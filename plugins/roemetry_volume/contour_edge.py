@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
+from roemetry_kernels.image_levels import median_of
 from roemetry_volume.footprint import area_of, around, evenly, normals_of
 
 _NORMALS = 400
@@ -189,7 +190,7 @@ def _widely(scene: Scene, ring: Floats) -> Floats:
         fine, coarse, even = (
             cv2.GaussianBlur(level, (0, 0), px / coarser) for px in (_FINE_PX, _COARSE_PX, _EVEN_PX)
         )
-        ring = ring[::coarser]
+        ring = np.ascontiguousarray(ring[::coarser])
         normal = _rounded(normals_of(ring, _NORMAL_REACH), _DIRECTION_ROUND / coarser)
         normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
         off = np.arange(-inwards * scene.spacing_px, outwards * scene.spacing_px, 1.0)
@@ -200,7 +201,7 @@ def _widely(scene: Scene, ring: Floats) -> Floats:
         sharp -= _gradient(coarse, here, normal, places, round(2.0 * _COARSE_PX / coarser))
         sharp = np.abs(_rounded(sharp, _COHERENT / coarser))
         sharp[shut] = 0.0
-        clear = max(float(np.median(sharp.max(axis=1))), 1e-9)
+        clear = max(median_of(sharp.max(axis=1)), 1e-9)
         cost = -np.minimum(sharp / clear, 1.0) - _OUTWARDS * off[None]
         lit = sampled(even, here, normal, places + _LIT_PX / coarser)
         cost += np.minimum(np.maximum(lit, 0.0) / _LIT, 1.0)
@@ -225,7 +226,7 @@ def _steepest(scene: Scene, ring: Floats) -> Floats:
     before, after = (sampled(scene.level, ring, normal, off + shift) for shift in (-_SMOOTH_PX, _SMOOTH_PX))
     told = _beside(scene.stripes, ring, normal)
     change = np.abs(_rounded(before - after, _COHERENT))
-    cost = np.asarray(-change / max(float(np.median(change[told].max(axis=1))), 1e-9), np.float64)
+    cost = np.asarray(-change / max(median_of(change[told].max(axis=1)), 1e-9), np.float64)
     cost[~told] = 0.0
     cost[_shut(scene.bounds, ring, normal, off)] += 1.0
     path = closed_path(cost, _NARROW_BEND, 2)
@@ -272,7 +273,7 @@ def _kinked(across: _Across, blur_px: float) -> tuple[Floats, float, float]:
     """
     ring, normal, light, told, shut = across
     cost, spread = left_over(light, _model(blur_px), _PLACES_PX.size)
-    usual = float(np.median(spread[told])) or 1.0
+    usual = median_of(spread[told]) or 1.0
     cost[~told] = 0.0
     free = cost.copy()
     cost[shut] += usual
@@ -280,7 +281,7 @@ def _kinked(across: _Across, blur_px: float) -> tuple[Floats, float, float]:
     exact, each, best = between_places(free, path)
     even = _rounded((_PLACES_PX[0] + _SEARCH_STEP_PX * exact)[:, None], _FIT_ROUND)
     clear = told & np.isfinite(each)
-    usual = float(np.median(each[clear])) if clear.any() else math.inf
+    usual = median_of(each[clear]) if clear.any() else math.inf
     std = _SEARCH_STEP_PX * math.sqrt(usual / (_OFF_PX.size - _TERMS) * _ALIKE_PX / _length(ring))
     scatter = float((_PLACES_PX[best] - even[:, 0])[told].std())
     return evenly(ring + even * normal, ring.shape[0]), std, scatter
@@ -332,7 +333,7 @@ def _seen(scene: Scene, ring: Floats) -> tuple[float, float]:
     belt = np.concatenate(
         [step[on] * np.sqrt(share[on]) for (step, share), on in zip(away, told, strict=True)]
     )
-    noise = 1.4826 * float(np.median(np.abs(belt))) if belt.size else math.inf
+    noise = 1.4826 * median_of(np.abs(belt)) if belt.size else math.inf
     known = shares > 0.0
     clear = known & (np.abs(steps) * np.sqrt(shares) > _CLEAR * noise)
     off = np.arange(-0.6 * scene.spacing_px, scene.spacing_px, 1.0)
@@ -381,15 +382,21 @@ def _apart(one: Floats, other: Floats) -> float:
 
 
 def _length(ring: Floats) -> float:
-    return float(np.hypot(*(around(ring, 1) - ring).T).sum())
+    step = around(ring, 1) - ring
+    return float(np.sqrt((step * step).sum(axis=1)).sum())
 
 
 def _rounded(values: Floats, sigma: float) -> Floats:
     """Smooth (n, k) values around the ring."""
+    smooth: Floats = smoothed_around(np.ascontiguousarray(values), _bell(sigma))
+    return smooth
+
+
+@lru_cache(maxsize=16)
+def _bell(sigma: float) -> Floats:
     half = int(4.0 * sigma + 0.5)
     weights = np.exp(-0.5 * (np.arange(-half, half + 1) / sigma) ** 2)
-    smooth: Floats = smoothed_around(np.ascontiguousarray(values), weights / weights.sum())
-    return smooth
+    return np.asarray(weights / weights.sum())
 
 
 @inlined

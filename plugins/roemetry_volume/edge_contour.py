@@ -46,6 +46,7 @@ from roemetry.records import Frame, Outline, Reason, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Outliner, StageOptions
+from roemetry_kernels.image_levels import median_of
 from roemetry_volume.contour_edge import Scene, edge_around, unbound
 from roemetry_volume.footprint import area_of, inside_by
 from roemetry_volume.image_motion import laid_over, logarithm
@@ -204,8 +205,8 @@ def _is_clear(level: NDArray[np.float32], region: Flags) -> bool:
     outside, within = light[~held], light[held]
     if not outside.size or not within.size:
         return False
-    middle = float(np.median(outside))
-    scatter = 1.4826 * float(np.median(np.abs(outside - middle)))
+    middle = median_of(outside)
+    scatter = 1.4826 * median_of(np.abs(outside - middle))
     # some of the region may be belt: stripes are wider than what they show
     low, high = np.percentile(within, [20, 80])
     return bool(max(high - middle, middle - low) > _LEAST_CONTRAST * max(scatter, 1e-3))
@@ -319,12 +320,10 @@ def _shown_larger(
 
 
 def _spacing_px(stripes: StripeMap) -> float:
-    rest = (
-        np.sort(np.nanmedian(stripes.rest_px, axis=1)) if np.isfinite(stripes.rest_px).any() else np.empty(0)
-    )
-    step = np.diff(rest[np.isfinite(rest)])
+    known = [line[np.isfinite(line)] for line in stripes.rest_px]
+    step = np.diff(np.sort([median_of(line) for line in known if line.size]))
     step = step[step > 1.0]
-    return float(np.median(step)) if step.size else _USUAL_SPACING_PX
+    return median_of(step) if step.size else _USUAL_SPACING_PX
 
 
 def _one(pixels: NDArray[Any]) -> NDArray[Any]:
@@ -409,9 +408,9 @@ def _own_belt(bright: NDArray[np.float32], product: Flags) -> NDArray[np.float32
         normal = belt.T @ belt + _RIDGE * len(belt) * np.eye(belt.shape[1])
         found = np.linalg.solve(normal, belt.T @ seen[use])
         off = seen - terms @ found
-        middle = np.median(off[use])
-        limit = max(3.0 * 1.4826 * float(np.median(np.abs(off[use] - middle))), 0.02)
-        again = use & (np.abs(off - middle) < limit)
+        off -= median_of(off[use])
+        away = np.abs(off)
+        again = use & (away < max(3.0 * 1.4826 * median_of(away[use]), 0.02))
         if again.sum() < 4 * terms.shape[1] or (again == use).all():
             break
         use = again
@@ -450,8 +449,8 @@ def _ambient(pixels: NDArray[Any], spacing_px: float) -> tuple[NDArray[Any], Fla
     width = max(int(0.6 * spacing_px) | 1, 9)  # more than a stripe is wide, less than stripes are apart
     opened = cv2.morphologyEx(pixels, cv2.MORPH_OPEN, np.ones((1, width), np.uint8))
     taken = pixels.astype(np.float32) - opened
-    usual = float(np.median(taken))
-    noise = 1.4826 * float(np.median(np.abs(taken - usual)))
+    usual = median_of(taken.ravel())
+    noise = 1.4826 * median_of(np.abs(taken - usual).ravel())
     on = (taken > usual + _STRIPE * max(noise, 0.5)).astype(np.uint8)
     on = cv2.morphologyEx(on, cv2.MORPH_OPEN, np.ones((3, 1), np.uint8))  # single pixels are noise
     beside = 1.0 - cv2.dilate(on, np.ones((1, 3), np.uint8)).astype(np.float32)

@@ -36,7 +36,7 @@ class Border(NamedTuple):
     tilt: Floats
 
 
-def border_at(rays: tuple[Floats, Floats], height_mm: Floats, fall_mm: Floats | None = None) -> Border:
+def border_at(rays: tuple[Floats, Floats], height_mm: Floats, fall_mm: Floats) -> Border:
     """Place a contour at the heights of the rim that made it.
 
     Where a dome falls to its rim as (z − z_rim)² = α·d, a ray of tilt t along the normal touches it α·t²/4
@@ -48,22 +48,38 @@ def border_at(rays: tuple[Floats, Floats], height_mm: Floats, fall_mm: Floats | 
         A point and the direction, (n, 3) each, of the silhouette's lines of sight (`View.rays`).
     height_mm : ndarray, shape (n,)
         Height of the rim at each of its points.
-    fall_mm : ndarray, shape (n,), or None
-        α at each point, mm.
+    fall_mm : ndarray, shape (n,)
+        α at each point, mm; 0 where it meets the rim at an angle.
     """
-    start, way = rays
-    xy = start[:, :2] + ((height_mm - start[:, 2]) / way[:, 2])[:, None] * way[:, :2]
+    return Border(*placed_border(*rays, height_mm, fall_mm))
+
+
+@float_kernel
+def placed_border(
+    start: Floats, way: Floats, height_mm: Floats, fall_mm: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Give what `Border` holds, as `border_at` says."""
+    n = height_mm.size
+    xy, tilt = np.empty((n, 2)), np.empty(n)
+    for k in range(n):
+        along = (height_mm[k] - start[k, 2]) / way[k, 2]
+        xy[k, 0], xy[k, 1] = start[k, 0] + along * way[k, 0], start[k, 1] + along * way[k, 1]
     outward = normals_of(xy, 2)
-    tilt = (way[:, :2] * outward).sum(axis=1) / -way[:, 2]
-    if fall_mm is not None:
-        xy = xy - outward * (0.25 * fall_mm * tilt * np.abs(tilt).clip(0.0, 1.0))[:, None]
-    return Border(xy, outward, tilt)
+    for k in range(n):
+        tilt[k] = (way[k, 0] * outward[k, 0] + way[k, 1] * outward[k, 1]) / -way[k, 2]
+        inwards = 0.25 * fall_mm[k] * tilt[k] * min(max(abs(tilt[k]), 0.0), 1.0)
+        xy[k, 0] -= inwards * outward[k, 0]
+        xy[k, 1] -= inwards * outward[k, 1]
+    return xy, outward, tilt
 
 
+@float_kernel
 def area_of(xy: Floats) -> float:
     """Signed area of a closed polygon; positive if it runs counter-clockwise."""
-    (x, y), (next_x, next_y) = xy.T, around(xy, 1).T
-    return 0.5 * float(x @ next_y - y @ next_x)
+    total, last = 0.0, xy.shape[0] - 1
+    for k in range(last):
+        total += xy[k, 0] * xy[k + 1, 1] - xy[k, 1] * xy[k + 1, 0]
+    return 0.5 * (total + xy[last, 0] * xy[0, 1] - xy[last, 1] * xy[0, 0])
 
 
 def around(xy: Floats, by: int) -> Floats:
@@ -71,22 +87,41 @@ def around(xy: Floats, by: int) -> Floats:
     return np.concatenate([xy[by:], xy[:by]])
 
 
+@float_kernel
 def evenly(contour: Floats, points: int) -> Floats:
     """Resample a closed polygon to points at even distances."""
-    closed = np.vstack([contour, contour[:1]])
-    step = closed[1:] - closed[:-1]
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
-    at = np.linspace(0.0, along[-1], points, endpoint=False)
-    return np.column_stack([np.interp(at, along, closed[:, k]) for k in (0, 1)])
+    n = contour.shape[0]
+    along = np.zeros(n + 1)
+    for k in range(n):
+        m = k + 1 if k < n - 1 else 0
+        step_x, step_y = contour[m, 0] - contour[k, 0], contour[m, 1] - contour[k, 1]
+        along[k + 1] = along[k] + math.sqrt(step_x * step_x + step_y * step_y)
+    out = np.empty((points, 2))
+    k = 0
+    for p in range(points):
+        at = along[n] * p / points
+        while k < n - 1 and along[k + 1] <= at:
+            k += 1
+        m = k + 1 if k < n - 1 else 0
+        share = (at - along[k]) / (along[k + 1] - along[k]) if along[k + 1] > along[k] else 0.0
+        out[p, 0] = contour[k, 0] + share * (contour[m, 0] - contour[k, 0])
+        out[p, 1] = contour[k, 1] + share * (contour[m, 1] - contour[k, 1])
+    return out
 
 
+@float_kernel
 def normals_of(ring: Floats, reach: int) -> Floats:
     """Give the outward unit normals (n, 2) of a ring, from the points so many places before and ahead."""
-    along = around(ring, reach) - around(ring, -reach)
-    length = np.hypot(along[:, 0], along[:, 1])
+    n = ring.shape[0]
     sign = 1.0 if area_of(ring) >= 0.0 else -1.0
-    long = np.where(length > 0.0, length, 1.0)[:, None]
-    return np.asarray(along[:, ::-1] * (np.array([sign, -sign]) / long))
+    normal = np.empty((n, 2))
+    for k in range(n):
+        before, ahead = (k - reach) % n, (k + reach) % n
+        along_x, along_y = ring[ahead, 0] - ring[before, 0], ring[ahead, 1] - ring[before, 1]
+        length = math.sqrt(along_x * along_x + along_y * along_y)
+        long = sign / (length if length > 0.0 else 1.0)
+        normal[k, 0], normal[k, 1] = along_y * long, -along_x * long
+    return normal
 
 
 @kernel

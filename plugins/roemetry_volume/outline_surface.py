@@ -58,7 +58,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         why = outline_fault(product, slices)
         if why is not None or product.outline is None or product.view is None:
             return self._by_slices(product, why, rng)
-        fused = fuse(product, product.view, product.outline.xy_px)
+        fused = fuse(product, product.view, product.outline)
         late = outline_fault(product, slices, fused)
         if late is not None:
             return self._by_slices(product, late, rng)
@@ -91,7 +91,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         """
         if OUTLINE not in found.visible_mm3.budget or product.outline is None or product.view is None:
             return self.estimate(product, rng=rng)
-        fused = fuse(product, product.view, product.outline.xy_px, found.solution)
+        fused = fuse(product, product.view, product.outline, found.solution)
         budget = dict(found.visible_mm3.budget)
         visible = estimate_of(_positive(fused.volume_mm3) + _model_error(budget, rng), budget)
         true = true_volume(self.options, visible, float(fused.weight_mm2.sum()), rng)
@@ -105,7 +105,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
             and product.outline is not None
             and product.view is not None
         ):
-            fused = fuse(product, product.view, product.outline.xy_px)
+            fused = fuse(product, product.view, product.outline)
             if outline_fault(product, slices, fused) is None:
                 return _drawn(fused, slices, product)
         return self._slices().surface(product)

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry.records.arrays import Floats, Integers
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel, kernel
+from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.robust_fit import robust_fit
 
 _LENGTH_MM = 5.0  # of a stripe's end: long enough for a curve through it, short beside a product's width
@@ -46,10 +47,19 @@ class Rim(NamedTuple):
 
     def at(self, s: Floats, v: Floats) -> Floats:
         """Height, mm, at places along and across the product."""
-        a, b = s / self.scale_mm[0], v / self.scale_mm[1]
-        c = self.coefficients
-        height: Floats = np.maximum(c[0] + a * (c[1] + c[2] * a) + c[3] * b, 0.0)
+        places = np.ascontiguousarray(s), np.ascontiguousarray(v)
+        height: Floats = rim_at(self.coefficients, self.scale_mm, *places)
         return height
+
+
+@float_kernel
+def rim_at(coefficients: Floats, scale_mm: tuple[float, float], s: Floats, v: Floats) -> Floats:
+    """Give the heights of a `Rim`, at least 0, at places (n,)."""
+    c, height = coefficients, np.empty(s.size)
+    for k in range(s.size):
+        a, b = s[k] / scale_mm[0], v[k] / scale_mm[1]
+        height[k] = max(c[0] + a * (c[1] + c[2] * a) + c[3] * b, 0.0)
+    return height
 
 
 def ends_of(points: StripePoints, across_mm: Floats) -> tuple[Integers, Integers, Integers]:
@@ -119,34 +129,37 @@ def rim_of(
         Distance inside the outline of the points that `ends` lists.
     """
     index, first, size = ends
-    heights, spread, upright = rim_heights(
-        inside_mm, points.xyz_mm[index, 2], first.astype(np.float64), size.astype(np.float64), _HEIGHT_STD_MM
-    )
-    outermost = index[first]
+    found, scale, std, upright = fitted_rim(points.xyz_mm[index, 2], place, index, first, size, inside_mm)
+    return Rim(found, scale, std, upright)
+
+
+@float_kernel
+def fitted_rim(
+    z_mm: Floats, place: Floats, index: Integers, first: Integers, size: Integers, inside_mm: Floats
+) -> tuple[Floats, tuple[float, float], float, bool]:
+    """Give what `Rim` holds: `z_mm` and `inside_mm` are of the ends' points, the others as `rim_of` says."""
+    heights, spread, upright = rim_heights(inside_mm, z_mm, first, size, _HEIGHT_STD_MM)
     told = upright[np.isfinite(upright)]
-    is_dome = not (told.size and middle_of(told) < _UPRIGHT_LEAST)
-    known = np.isfinite(heights)
-    s, v = place[:, 0], place[:, 1]
-    scale = max(float(np.ptp(s)) / 2.0, 1.0), max(float(np.ptp(v)) / 2.0, 1.0)
-    if known.sum() < 4:
+    is_dome = not (told.size > 0 and median_of(told) < _UPRIGHT_LEAST)
+    scale_s = max((place[:, 0].max() - place[:, 0].min()) / 2.0, 1.0)
+    scale_v = max((place[:, 1].max() - place[:, 1].min()) / 2.0, 1.0)
+    known = np.flatnonzero(np.isfinite(heights))
+    if known.size < 4:
         # too few ends to say more than: somewhat below the lowest points that were seen
-        level = 0.8 * middle_of(points.xyz_mm[outermost, 2])
-        return Rim(np.array([max(level, 0.0), 0.0, 0.0, 0.0]), scale, max(0.3 * level, 0.2), is_dome)
-    at, rim = outermost[known], heights[known]
-    a, b = s[at] / scale[0], v[at] / scale[1]
-    rows = np.stack([np.ones_like(a), a, a * a, b])
-    base = 1.0 / (spread[known] ** 2 + _SPREAD_FLOOR_MM**2)
+        level = 0.8 * median_of(z_mm[first])
+        low = np.array([max(level, 0.0), 0.0, 0.0, 0.0])
+        return low, (scale_s, scale_v), max(0.3 * level, 0.2), is_dome
+    rows, rim, wide, base = np.ones((4, known.size)), heights[known], spread[known], np.empty(known.size)
+    for k in range(known.size):
+        at = index[first[known[k]]]
+        rows[1, k], rows[3, k] = place[at, 0] / scale_s, place[at, 1] / scale_v
+        rows[2, k] = rows[1, k] * rows[1, k]
+        base[k] = 1.0 / (wide[k] ** 2 + _SPREAD_FLOOR_MM**2)
     base /= base.mean()
     found, weight, off = robust_fit(rows, rim, base, _RIDGE, _SCATTER_LEAST_MM, _ROUNDS)
     # not less for many ends: what makes one end look low makes its neighbours look low
-    std = float(np.sqrt((weight * (off**2 + spread[known] ** 2)).sum() / weight.sum()))
-    return Rim(found, scale, max(std, 0.1), is_dome)
-
-
-def middle_of(values: Floats) -> float:
-    """Give the median of a few numbers: NumPy's own takes five times as long for so few."""
-    ordered = np.sort(values)
-    return 0.5 * float(ordered[(ordered.size - 1) // 2] + ordered[ordered.size // 2])
+    std = np.sqrt((weight * (off**2 + wide**2)).sum() / weight.sum())
+    return found, (scale_s, scale_v), max(std, 0.1), is_dome
 
 
 _STEPS = 25  # of the rim's height, from the belt to an end's lowest point
@@ -157,7 +170,7 @@ _LEVEL_MM2 = 0.25  # a surface that falls by less than half a millimetre ends in
 
 @kernel
 def rim_heights(
-    distance_mm: Floats, z_mm: Floats, first: Floats, size: Floats, std_mm: float
+    distance_mm: Floats, z_mm: Floats, first: Integers, size: Integers, std_mm: float
 ) -> tuple[Floats, Floats, Floats]:
     """Fit (z − rim)² = α·d + β·d², α ≥ 0, at each end, over rims from the belt to its lowest point.
 
@@ -181,7 +194,7 @@ def rim_heights(
     rim, spread, upright = np.full(ends, np.nan), np.full(ends, np.nan), np.full(ends, np.nan)
     cost, height, straight = np.empty(_STEPS), np.empty(_STEPS), np.empty(_STEPS)
     for e in range(ends):
-        a, n = int(first[e]), int(size[e])
+        a, n = first[e], size[e]
         if n < _LEAST:
             continue
         z, d = z_mm[a : a + n], distance_mm[a : a + n]

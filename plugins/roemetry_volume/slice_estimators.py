@@ -81,9 +81,8 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
             Fewer than three stripes lie on the product, or a plane runs along X, or the sum is not positive.
         """
         slices = slices_of(product)
-        nan = math.nan
         caps = [cap_of(product, slices, end, self.options.ends) for end in (0, 1)]
-        slope = np.array([one.slope_mm if one.kind == rules.TAPERED else nan for one in caps])
+        slope = np.array([one.slope_mm for one in caps])
         between = rules.between_slices(slices.t_mm, slices.area_mm2, slope, self.rule)
         volume = between + sum(one.volume_mm3 + one.shadow_mm3 for one in caps)
         if not volume > 0.0:

@@ -32,7 +32,10 @@ WAIST = 0.35
 """A slice under that share of some on both sides of it is a waist."""
 
 _BEYOND = 1.15
-"""A cap that would reach this much further than the next stripe, which shows belt, is cut off there."""
+"""A taper that would reach so many times the way to the next stripe, which shows belt, is half believed."""
+_SURE = 16
+"""How fast that belief falls: from 0.9 at 1.0 of the way to 0.1 at 1.3. A step would make volume and interval
+jump with the noise."""
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
 _TAPER_STD = 0.11  # of a tapered cap's volume
@@ -74,13 +77,9 @@ def cap_of(product: Product, slices: Slices, end: int, ends: Ends) -> Cap:
     if ends == "none":
         return Cap(0.0, 0.0, math.nan, NO_CAP, 0.0, 0.0)
     limited, within = slices.limited[end], _within(slices, end)
-    taper = taper_of(slices.t_mm, slices.area_mm2, end, within, limited)
+    found = _by_areas(slices, end, within, ends)
     if ends == "hold":
-        length = 0.5 * slices.reach_mm[end]
-        volume = length * float(slices.area_mm2[-end])
-        return Cap(volume, length, math.nan, BLUNT, 0.0, _std(slices, end, taper, volume))
-    volume, length, slope, kind = taper
-    found = Cap(volume, length, slope, kind, 0.0, _std(slices, end, taper, volume))
+        return found
     volume, length, shadow, rim_mm, off_mm = quadric_end(
         slices.profiles.xyz_mm,
         slices.profiles.product,
@@ -110,15 +109,39 @@ def cap_of(product: Product, slices: Slices, end: int, ends: Ends) -> Cap:
         max(rim_mm, 0.0),
     )
     own = math.hypot(_QUADRIC_STD * volume, _SHADOW_STD * shadow)
-    apart = volume + shadow - found.volume_mm3
-    rest = 1.0 - trust
+    return _mixed(Cap(volume, length, found.slope_mm, TAPERED, shadow, own), found, trust)
+
+
+def _by_areas(slices: Slices, end: int, within: float, ends: Ends) -> Cap:
+    """Give what the slices' areas say of an end, or with `hold` half a spacing of the outer one."""
+    outer, lean, limited = slices.table[-end].tolist(), slices.lean[end], slices.limited[end]
+    area, reach = outer[AREA], slices.reach_mm[end]
+    volume, length, slope, trust = taper_of(slices.t_mm, slices.area_mm2, end, within, limited)
+    tapered = Cap(volume, length, slope, TAPERED, 0.0, (_TAPER_STD if limited else _OPEN_TAPER_STD) * volume)
+    wall_mm3 = _WALL_STD * abs(lean) * max(outer[TOP], 0.0) * area
+    half = 0.5 * reach * area
+    blunt = Cap(half, 0.5 * reach, math.nan, BLUNT, 0.0, math.hypot(_BLUNT_STD * half, wall_mm3))
+    if ends == "hold":
+        apart = math.hypot(tapered.std_mm3, volume - half)
+        found = blunt._replace(std_mm3=math.sqrt(trust * apart**2 + (1.0 - trust) * blunt.std_mm3**2))
+    elif limited or trust > 0.0:
+        found = _mixed(tapered, blunt, trust)
+    else:
+        span = float(slices.t_mm[-1] - slices.t_mm[0])
+        found = Cap(0.0, 0.0, math.nan, NO_CAP, 0.0, _OPEN_SHARE * area * span)
+    return found._replace(std_mm3=math.hypot(found.std_mm3, _ends_std(slices, end)))
+
+
+def _mixed(one: Cap, other: Cap, trust: float) -> Cap:
+    """Give the mean of two caps, the first of which is right with some probability, and its uncertainty."""
+    rest, apart = 1.0 - trust, one.volume_mm3 + one.shadow_mm3 - other.volume_mm3 - other.shadow_mm3
     return Cap(
-        rest * found.volume_mm3 + trust * volume,
-        rest * found.length_mm + trust * length,
-        slope,
-        TAPERED if trust > 0.5 else kind,
-        trust * shadow,
-        math.hypot(rest * found.std_mm3, trust * own, math.sqrt(trust * rest) * apart),
+        trust * one.volume_mm3 + rest * other.volume_mm3,
+        trust * one.length_mm + rest * other.length_mm,
+        one.slope_mm if trust > 0.0 else other.slope_mm,
+        one.kind if trust > 0.5 else other.kind,
+        trust * one.shadow_mm3 + rest * other.shadow_mm3,
+        math.sqrt(trust * one.std_mm3**2 + rest * other.std_mm3**2 + trust * rest * apart**2),
     )
 
 
@@ -130,31 +153,20 @@ def _within(slices: Slices, end: int) -> float:
     return max(_OPEN_SPACINGS * reach, _OPEN_SHARE * float(slices.t_mm[-1] - slices.t_mm[0]))
 
 
-def _std(slices: Slices, end: int, taper: tuple[float, float, float, float], volume_mm3: float) -> float:
-    """Say how far a cap of some volume may be off, mm³.
+def _ends_std(slices: Slices, end: int) -> float:
+    """Say how far the outer slices' own ends may mislead, mm³.
 
-    Of a blunt end anything up to the next stripe is possible, and a wall that leaning light sees or not;
-    of an open end without taper, that the product goes on as far as a taper would be believed. An area
-    that is held although the slices taper is off by what the taper says otherwise. Where light leans over an
-    end, its shadow below the rim counts, more or less.
+    Where light leans over an end, its shadow below the rim counts, more or less; and a slice as high as its
+    neighbour may have an upright end on either side of it.
     """
-    outer = slices.table[-end].tolist()
-    area, lean = outer[AREA], slices.lean[end]
-    if taper[3] == NO_CAP:
-        std = _OPEN_SHARE * area * float(slices.t_mm[-1] - slices.t_mm[0])
-    elif taper[3] == TAPERED:
-        share = _TAPER_STD if slices.limited[end] else _OPEN_TAPER_STD
-        std = math.hypot(share * taper[0], taper[0] - volume_mm3)
-    else:
-        over_mm = abs(lean) * max(outer[TOP], 0.0)
-        std = math.hypot(_BLUNT_STD * volume_mm3, _WALL_STD * over_mm * area)
+    outer, before = slices.table[-end].tolist(), slices.table[-2 if end else 1].tolist()
+    lean = slices.lean[end]
     below_rim = 0.5 * max(-lean, 0.0) * outer[WALL] * outer[WIDTH]
     wall = 0.0
-    before = slices.table[-2 if end else 1].tolist()
     if outer[TOP] > _LEVEL * before[TOP]:
-        whole = max(area, before[AREA])
+        whole = max(outer[AREA], before[AREA])
         wall = math.hypot(slices.reach_mm[end] * whole, abs(lean) * outer[TOP] * whole) / math.sqrt(12.0)
-    return math.hypot(std, _RIM_STD * below_rim, wall)
+    return math.hypot(_RIM_STD * below_rim, wall)
 
 
 @kernel
@@ -218,9 +230,9 @@ def taper_of(
 
     Returns
     -------
-    volume, length, slope, kind : float
-        mm³; mm; dA/dt at the outer slice (mm, NaN without taper); `TAPERED`, `BLUNT` (no taper, but the next
-        stripe shows belt: half the way to it is counted) or `NO_CAP`.
+    volume, length, slope, trust : float
+        mm³; mm; dA/dt at the outer slice, mm; share by which the taper is believed: of a limited end that
+        would reach `_BEYOND` of the way to the next stripe, half. Nothing is believed where nothing tapers.
     """
     i, j, k = three_outer(t, at_end)
     first = area[i]
@@ -237,13 +249,13 @@ def taper_of(
         root = (-g + np.sqrt(g * g - 4.0 * c * first)) / (-2.0 * c)
     elif g > 0.0:
         root = first / g
-    if root <= _BEYOND * reach_mm:
-        length = min(root, reach_mm) if limited else root
-        volume = length * (first - 0.5 * g * length + c * length * length / 3.0)
-        return volume, length, sign * g, TAPERED
-    if limited:
-        return 0.5 * reach_mm * first, 0.5 * reach_mm, np.nan, BLUNT
-    return 0.0, 0.0, np.nan, NO_CAP
+    over = root / (_BEYOND * reach_mm)
+    trust = 1.0 / (1.0 + over**_SURE) if limited else 1.0 if over <= 1.0 else 0.0
+    if not trust >= _HARDLY:
+        return 0.0, 0.0, np.nan, 0.0
+    length = min(root, reach_mm) if limited else root
+    volume = length * (first - 0.5 * g * length + c * length * length / 3.0)
+    return volume, length, sign * g, trust
 
 
 @kernel

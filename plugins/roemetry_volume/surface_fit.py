@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roemetry.records import Product
+from roemetry.records import Outline, Product, sight_lines
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.view import View
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.robust_fit import solve
 from roemetry_kernels.slices import body_curves
-from roemetry_volume.footprint import Border, area_of, border_at, evenly
-from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_of
+from roemetry_volume.footprint import Border, area_of, border_at, evenly, inside_by, nodes_within
+from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_at, rim_of
 
 LONG_AXIS = 0.4
 _POINTS = 400
@@ -164,26 +164,27 @@ def _outermost(seen: Flags, z_mm: Floats, begin: int, stop: int, step: int) -> i
     return first
 
 
-def fuse(product: Product, view: View, contour_px: Floats, start: Start | None = None) -> Fused:
+def fuse(product: Product, view: View, outline: Outline, start: Start | None = None) -> Fused:
     """Solve surface, rim and border together.
 
     Parameters
     ----------
-    product, view, contour_px
-        The product; the rig's geometry; the outline in the image.
+    product, view, outline
+        The product; the rig's geometry; the product's outline.
     start
         The solution of nearly the same product: a round or two from it give what three from nothing give,
         and follow small changes without the jumps of a search that ends sooner or later.
     """
-    from roemetry_volume.footprint import inside_by, nodes_within
-
-    silhouette = view.rays(evenly(contour_px, _POINTS))
+    if len(outline.xy_px) == _POINTS:
+        silhouette = sight_lines(view, outline)
+    else:
+        silhouette = view.rays(evenly(outline.xy_px, _POINTS))
     points = points_of(product)
     xyz = points.xyz_mm
     if start is None:
         outermost = np.concatenate([points.first[:-1], points.first[1:] - 1])
         level = np.full(_POINTS, max(0.8 * float(np.median(xyz[outermost, 2])), 0.0))
-        border = border_at(silhouette, level)
+        border = border_at(silhouette, level, np.zeros(_POINTS))
         centre, turn = axes_of(border.xy_mm)
     else:
         border = border_at(silhouette, start.height_mm, start.fall_mm)
@@ -225,23 +226,35 @@ def axes_of(xy: Floats) -> tuple[Floats, Floats]:
 
 
 def _knots(points: StripePoints, place: Floats, rim: Rim, contour: Floats) -> Knots:
-    from roemetry_volume.footprint import inside_by
+    return Knots(
+        *dome_knots(points.xyz_mm, place, points.slice, rim.coefficients, rim.scale_mm, rim.upright, contour)
+    )
 
-    over = points.xyz_mm[:, 2] - rim.at(place[:, 0], place[:, 1])
+
+@float_kernel
+def dome_knots(
+    xyz_mm: Floats,
+    place: Floats,
+    slices: Integers,
+    rim: Floats,
+    scale_mm: tuple[float, float],
+    upright: bool,
+    contour: Floats,
+) -> tuple[Floats, Floats, Floats, Floats, Integers]:
+    """Give what `Knots` holds of a product's points (n, 3) along and across it (n, 2), over its rim."""
+    over = xyz_mm[:, 2] - rim_at(rim, scale_mm, place[:, 0], place[:, 1])
     # what is seen of the wall below the rim is no part of the dome
-    dome = over > -_BELOW_RIM_MM
-    dome[~dome] = inside_by(contour, place[~dome]) > _WALL_MM
-    s, v = LONG_AXIS * place[dome, 0], place[dome, 1]
-    return grouped(s, v, _value(over, rim)[dome], points.slice[dome])
-
-
-def _value(over_mm: Floats, rim: Rim) -> Floats:
-    """What the plate goes through: the square of the height over the rim, with its sign, below a dome."""
-    return over_mm * np.abs(over_mm) if rim.upright else over_mm
+    low = np.flatnonzero(over <= -_BELOW_RIM_MM)
+    dome = np.ones(over.size, np.bool_)
+    dome[low] = inside_by(contour, place[low]) > _WALL_MM
+    kept = np.flatnonzero(dome)
+    over = over[kept]
+    u = over * np.abs(over) if upright else over
+    return means_of_groups(LONG_AXIS * place[kept, 0], place[kept, 1], u, slices[kept])
 
 
 def _height(value: Floats, rim: Rim) -> Floats:
-    """Height over the rim of the plate's value."""
+    """Height over the rim of the plate's value: below a dome that is the height's square, with its sign."""
     return np.sign(value) * np.sqrt(np.abs(value)) if rim.upright else value
 
 
@@ -305,15 +318,45 @@ def _at_border(
     wall_shows: bool,
 ) -> tuple[Floats, Floats]:
     """Height of the edge that made the outline, and how the dome falls to it (α, mm), along the border."""
-    inner = contour - _PROBE_MM * (border.outward @ frame[1])
-    dome_mm = np.maximum(_height(plate.at(LONG_AXIS * inner[:, 0], inner[:, 1]), rim), 0.0)
-    level = rim.at(contour[:, 0], contour[:, 1])
-    top = level + _height(plate.at(LONG_AXIS * contour[:, 0], contour[:, 1]), rim)
-    # A wall that the camera sees ends at the belt if there is no dome above it: it is upright then.
-    foot = level * np.clip(2.0 * dome_mm / np.maximum(level, 1e-3), 0.0, 1.0) if wall_shows else level
-    height = np.where(border.tilt < 0.0, foot, np.where(open_end, top, level))
-    fall = dome_mm**2 / _PROBE_MM if rim.upright else np.zeros_like(dome_mm)
-    return height, np.where(open_end | (border.tilt < 0.0), 0.0, fall)
+    height, fall = edge_heights(
+        *(plate.coefficients, plate.grid, rim.coefficients, rim.scale_mm, rim.upright),
+        *(contour, border.outward @ frame[1], border.tilt, open_end, wall_shows),
+    )
+    return height, fall
+
+
+@float_kernel
+def edge_heights(
+    coefficients: Floats,
+    grid: Grid,
+    rim: Floats,
+    scale_mm: tuple[float, float],
+    upright: bool,
+    contour: Floats,
+    outward: Floats,
+    tilt: Floats,
+    open_end: Flags,
+    wall_shows: bool,
+) -> tuple[Floats, Floats]:
+    """Give (n,) what `_at_border` says, of a contour and its normals (n, 2) along and across the product."""
+    n = tilt.size
+    height, fall = rim_at(rim, scale_mm, contour[:, 0], contour[:, 1]), np.zeros(n)
+    inner_s = LONG_AXIS * (contour[:, 0] - _PROBE_MM * outward[:, 0])
+    dome = values_at(coefficients, grid, inner_s, contour[:, 1] - _PROBE_MM * outward[:, 1])
+    here = values_at(coefficients, grid, LONG_AXIS * contour[:, 0], contour[:, 1])
+    for k in range(n):
+        dome_mm = max(dome[k], 0.0)
+        if upright:
+            dome_mm = np.sqrt(dome_mm)
+        if tilt[k] < 0.0:
+            # A wall that the camera sees ends at the belt if there is no dome above it: it is upright then.
+            if wall_shows:
+                height[k] *= min(2.0 * dome_mm / max(height[k], 1e-3), 1.0)
+        elif open_end[k]:
+            height[k] += np.sign(here[k]) * np.sqrt(abs(here[k])) if upright else here[k]
+        elif upright:
+            fall[k] = dome_mm * dome_mm / _PROBE_MM
+    return height, fall
 
 
 def _wall_shows(points: StripePoints, contour: Floats, tilt: Floats, place: Floats) -> bool:
@@ -323,8 +366,6 @@ def _wall_shows(points: StripePoints, contour: Floats, tilt: Floats, place: Floa
     of an upright wall end at its edge. The contour stands at the share 0.8 of their height here: if it is the
     wall's foot they end 0.8 of tilt times height inside it, if it is the edge, 0.2 of that outside.
     """
-    from roemetry_volume.footprint import inside_by
-
     last = np.concatenate([points.first[:-1], points.first[1:] - 1])
     off = np.hypot(*(place[last, None, :] - contour[None, :, :]).transpose(2, 0, 1))
     facing = -tilt[off.argmin(axis=1)]
@@ -361,16 +402,11 @@ class Knots:
     slice: Integers
 
 
-def grouped(s: Floats, v: Floats, u: Floats, slices: Integers) -> Knots:
-    """Put each five neighbouring points of a slice into one, which weighs as much as they do."""
-    return Knots(*means_of_groups(s, v, u, slices))
-
-
 @kernel
 def means_of_groups(
     s: Floats, v: Floats, u: Floats, slices: Integers
 ) -> tuple[Floats, Floats, Floats, Floats, Integers]:
-    """Give what `Knots` holds of points, slice after slice."""
+    """Give what `Knots` holds: the mean of each five neighbours of a slice, which weighs as much."""
     mean, weight, of = np.zeros((3, s.size)), np.zeros(s.size), np.empty(s.size, np.int64)
     group = -1
     for k in range(s.size):
@@ -403,7 +439,8 @@ class Plate:
 
     def at(self, s: Floats, v: Floats) -> Floats:
         """Value at places; s scaled."""
-        values: Floats = values_at(self.coefficients, self.grid, s, v)
+        places = np.ascontiguousarray(s), np.ascontiguousarray(v)
+        values: Floats = values_at(self.coefficients, self.grid, *places)
         return values
 
     def moved_by(self, change: Floats) -> Floats:
@@ -432,16 +469,11 @@ def plate_through(
 ) -> Plate:
     """Fit a plate through the knots and through 0 at places of the rim; `stiffness` times as stiff."""
     s, v = np.concatenate([knots.s, rim_s]), np.concatenate([knots.v, rim_v])
-    low_s, low_v = float(s.min()) - 0.5, float(v.min()) - 0.5
-    cells = [
-        max(int(np.ceil((float(x.max()) + 0.5 - low) / CELL_MM)), 1) for x, low in ((s, low_s), (v, low_v))
-    ]
-    grid = (low_s, low_v, CELL_MM, cells[0], cells[1])
-    band = _bending_of(cells[0], cells[1], stiffness * STIFFNESS).copy()
+    grid = grid_over(s, v)
+    band = _bending_of(grid[3], grid[4], stiffness * STIFFNESS).copy()
     right = np.zeros(band.shape[1])
-    weight = np.concatenate([knots.weight, rim_weight])
-    course, off = _course(grid, (s, v), np.concatenate([knots.u, np.zeros_like(rim_s)]), weight)
-    add_points(band, right, grid, s, v, off, weight)
+    weight, u = np.concatenate([knots.weight, rim_weight]), np.concatenate([knots.u, np.zeros(rim_s.size)])
+    course = off_course(band, right, grid, s, v, u, weight)
     factor = _factor(band)
     return Plate(grid, course, course + _solved(factor, right), band, factor, right)
 
@@ -452,29 +484,52 @@ def _bending_of(cells_s: int, cells_v: int, weight: float) -> Floats:
     return bending((0.0, 0.0, CELL_MM, cells_s, cells_v), weight, _RIDGE)
 
 
-def _course(grid: Any, place: tuple[Floats, Floats], u: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Give the quadric through all points, as the spline's coefficients, and by how much each lies off it.
+@float_kernel
+def grid_over(s: Floats, v: Floats) -> Grid:
+    """Give the grid that holds all places, and half a cell around them."""
+    low_s, low_v = s.min() - 0.5, v.min() - 0.5
+    cells_s = max(int(np.ceil((s.max() + 0.5 - low_s) / CELL_MM)), 1)
+    return low_s, low_v, CELL_MM, cells_s, max(int(np.ceil((v.max() + 0.5 - low_v) / CELL_MM)), 1)
+
+
+@float_kernel
+def off_course(
+    band: Floats, right: Floats, grid: Grid, s: Floats, v: Floats, u: Floats, weight: Floats
+) -> Floats:
+    """Give the quadric through all points, as the spline's coefficients; add how they lie off it to a system.
 
     It is taken by a share: the more of the points' scatter it leaves, the less it says of what is between.
     """
-    (s, v), (low_s, low_v, side, cells_s, cells_v) = place, grid
-    a, b = (s - low_s) / side, (v - low_v) / side
-    design = np.column_stack([np.ones_like(a), a, b, a * a, a * b, b * b])
-    weighed = weight * design.T
-    normal, c = weighed @ design, weighed @ u
-    normal.flat[:: c.size + 1] += _COURSE_RIDGE * normal[0, 0]
+    low_s, low_v, side, cells_s, cells_v = grid
+    design, weighed = np.ones((6, s.size)), np.empty(s.size)
+    for k in range(s.size):
+        a, b = (s[k] - low_s) / side, (v[k] - low_v) / side
+        design[1, k], design[2, k] = a, b
+        design[3, k], design[4, k], design[5, k] = a * a, a * b, b * b
+    normal, c = np.empty((6, 6)), np.empty(6)
+    for a in range(6):
+        weighed[:] = weight * design[a]
+        c[a] = (weighed * u).sum()
+        for b in range(a + 1):
+            normal[a, b] = (weighed * design[b]).sum()
+    ridge = _COURSE_RIDGE * normal[0, 0]
+    for a in range(6):
+        normal[a, a] += ridge
     solve(normal, c)
-    # a cubic B-spline's coefficient k stands for the place k - 1; of a square it is a third less
-    i, j = np.arange(cells_s + 3)[:, None] - 1.0, np.arange(cells_v + 3)[None, :] - 1.0
-    course = (
-        c[0] + c[1] * i + c[2] * j + c[3] * (i * i - 1.0 / 3.0) + c[4] * i * j + c[5] * (j * j - 1.0 / 3.0)
-    )
-    guess = design @ c
-    left = float(
-        (weight * (u - guess) ** 2).sum() / (weight * (u - np.average(u, weights=weight)) ** 2).sum()
-    )
+    guess = np.zeros(s.size)
+    for a in range(6):
+        guess += c[a] * design[a]
+    mean = (weight * u).sum() / weight.sum()
+    left = (weight * (u - guess) ** 2).sum() / (weight * (u - mean) ** 2).sum()
     share = max(1.0 - left, 0.0) ** _BELIEF
-    return share * course.ravel(), u - share * guess
+    add_points(band, right, grid, s, v, u - share * guess, weight)
+    course = np.empty((cells_s + 3) * (cells_v + 3))
+    for k in range(course.size):
+        # a cubic B-spline's coefficient k stands for the place k - 1; of a square it is a third less
+        i, j = k // (cells_v + 3) - 1.0, k % (cells_v + 3) - 1.0
+        bent = c[3] * (i * i - 1.0 / 3.0) + c[4] * i * j + c[5] * (j * j - 1.0 / 3.0)
+        course[k] = share * (c[0] + c[1] * i + c[2] * j + bent)
+    return course
 
 
 def without_slice(plate: Plate, knots: Knots, slice_: int) -> Floats:

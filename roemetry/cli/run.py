@@ -8,6 +8,7 @@ import math
 import signal
 import sys
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from pathlib import Path
@@ -223,6 +224,12 @@ def _memory_mb() -> float | None:
 
 def report(
     folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    product: Annotated[
+        str | None,
+        typer.Option(
+            "--product", metavar="ID", help="Only of this product or image, in a folder of its own."
+        ),
+    ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     """Make the tables and the report of a run again from its record."""
@@ -231,7 +238,7 @@ def report(
     from roemetry.run.record import recipe_of
 
     recipe, provenance = recipe_of(folder)
-    files, faults = derive(recipe, folder, provenance, debug=debug)
+    files, faults = derive(recipe, folder, provenance, debug=debug, product=product)
     for file in files:
         typer.echo(str(file))
     if faults:
@@ -313,25 +320,29 @@ def _camera(path: Path, form: str, out: Path | None) -> Path:
 def problems_of(measurements: Iterable[Measurement]) -> list[str]:
     """Write a line for each reason why rows lack a number, an uncertainty or a fit, with the rows."""
     rows_by_text: dict[str, list[str]] = {}
+    count: Counter[str] = Counter()
+
+    def note(text: str, row: str) -> None:
+        count[text] += 1
+        if count[text] <= _NAMED_MAX:
+            rows_by_text.setdefault(text, []).append(row)
+
     for row in measurements:
         if row.status != "measured":
             text = row.reasons[0].text if row.reasons else row.status
-            rows_by_text.setdefault(text, []).append(row.id)
+            note(text, row.id)
             continue
         weighed = () if row.weight is None or math.isnan(row.weight.mass_g.value) else row.weight.reasons
         fitted = row.weight is None or bool(row.weight.features)  # which only a fitted weigher has
         for reason in (*weighed, *(row.volume.reasons if row.volume else ())):
             if reason.code in _NOT_FITTED and not fitted:
-                rows_by_text.setdefault(f"weight not fitted: {reason.text}", []).append(row.id)
+                note(f"weight not fitted: {reason.text}", row.id)
             elif reason.code in _NOT_STATED:
-                rows_by_text.setdefault(f"no uncertainty: {reason.text}", []).append(row.id)
-    return [f"{_few(rows)}: {text}" for text, rows in islice(rows_by_text.items(), _ROWS_MAX)]
-
-
-def _few(rows: list[str]) -> str:
-    """Name the first rows, and count the others."""
-    named = ", ".join(rows[:_NAMED_MAX])
-    return f"{named} and {len(rows) - _NAMED_MAX} more" if len(rows) > _NAMED_MAX else named
+                note(f"no uncertainty: {reason.text}", row.id)
+    return [
+        f"{', '.join(rows)}{f' and {more} more' if (more := count[text] - len(rows)) else ''}: {text}"
+        for text, rows in islice(rows_by_text.items(), _ROWS_MAX)
+    ]
 
 
 _NOT_FITTED = ("visible-taken-for-true", "underside-assumed")

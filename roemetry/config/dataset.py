@@ -134,7 +134,7 @@ class Dataset:
             return Truth(item.products)
         path = self.folder / item.stripes
         try:
-            with np.load(path) as kept:
+            with path.open("rb") as file, np.load(file) as kept:
                 fields = ("x_px", "on_product", "xyz_mm", *(("product",) if "product" in kept else ()))
                 stripes = StripeTruth(**{name: kept[name] for name in fields})
         except (OSError, KeyError, ValueError) as error:

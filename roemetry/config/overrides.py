@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from roemetry.errors import ConfigurationError
+from roemetry.io.remote import path_of
 from roemetry.io.yaml_source import Document, Step, parse
 
 _PATHS = {("source", "path"), ("calibration",)}
@@ -47,7 +48,7 @@ class Overridden:
         for text in sets:
             keys, value = _split(text)
             if keys in _PATHS and isinstance(value, str):
-                value = str(Path(value).absolute())
+                value = str(path_of(value, Path()).absolute())
                 text = f"{'.'.join(map(str, keys))}={value}"
             self.sets.append(text)
             _put(self.data, keys, value, text)

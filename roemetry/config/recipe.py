@@ -29,6 +29,7 @@ from roemetry.config.recipe_file import (
 from roemetry.config.resolve import ResolvedStage, StageResolver, choice_of
 from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError, DataError, RoemetryError
+from roemetry.io.remote import path_of
 from roemetry.io.yaml_source import Document, Step, read
 from roemetry.records import AcquisitionReference, Sensor
 from roemetry.records.calibration import ON_BELT, Calibration
@@ -169,6 +170,9 @@ class Recipe:
             return found
         except DataError as error:
             raise DataError(f"{self.source_place}: {error.message}", hint=error.hint) from error
+        except OSError as error:
+            why = error.strerror or str(error)
+            raise DataError(f"{self.source_place}: {error.filename or self.source_path}: {why}") from error
 
     @property
     def sensor(self) -> Sensor | None:
@@ -259,7 +263,7 @@ def _resolved(
         "product": file.product,
         "source_choice": file.source,
         "source": source,
-        "source_path": path.parent / file.source.path,
+        "source_path": path_of(file.source.path, path.parent),
         "source_place": document.place(("source", "path")),
         "calibration_path": calibration_path,
         "calibration": calibration,

@@ -12,12 +12,13 @@ from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from pydantic import ValidationError
 
 from roemetry.errors import ConfigurationError, OutputError
+from roemetry.io.remote import Url
 
 
 def sha256_of(path: Path) -> str:
@@ -36,18 +37,33 @@ def write_bytes(path: Path, content: bytes) -> None:
 
     Where that fails, OutputError says why, and an old file of this name is left as it was.
     """
-    temporary: str | None = None
+    with whole_file(path) as file:
+        file.write(content)
+
+
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[IO[bytes]]:
+    """Give a file to write piece by piece that takes its place, as by `write_bytes`, when the block ends."""
+    temporary: Path | None = None
     try:
-        descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        if isinstance(path, Url):
+            with tempfile.NamedTemporaryFile() as buffer:
+                yield buffer
+                buffer.flush()
+                path.put(Path(buffer.name))
+            return
+        descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        temporary = Path(name)
         with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
+            yield file
+        temporary.chmod(0o644)
+        temporary.replace(path)
+        temporary = None
     except OSError as error:
-        if temporary is not None:
-            with contextlib.suppress(OSError):
-                Path(temporary).unlink()
         raise _cannot_write(path, error) from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
 
 
 def make_folder(path: Path) -> None:

@@ -141,3 +141,5 @@ class AcquisitionReference:
     files: Mapping[Role, Path]
     before: Path | None = field(default=None, kw_only=True)
     """The laser image that was taken before this one."""
+    sha256: Mapping[Role, str] = field(default_factory=dict, kw_only=True)
+    """What the files' bytes must hash to, where that is known: others are refused."""

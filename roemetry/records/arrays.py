@@ -7,7 +7,7 @@ from typing import Annotated, Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, GetPydanticSchema
+from pydantic import GetPydanticSchema
 
 from roemetry.errors import RecordError
 
@@ -19,13 +19,21 @@ def _any_schema(source: Any, handler: Any) -> Any:
     return core_schema.any_schema()
 
 
+def _number_schema(source: Any, handler: Any) -> Any:
+    """Let pydantic read null as NaN, and numbers without a call of Python for each."""
+    from pydantic_core import core_schema
+
+    nothing = core_schema.no_info_after_validator_function(lambda _: math.nan, core_schema.none_schema())
+    return core_schema.union_schema([handler(source), nothing], mode="left_to_right")
+
+
 _Array = GetPydanticSchema(_any_schema)
 
 Floats = Annotated[NDArray[np.float64], _Array]
 Integers = Annotated[NDArray[np.int64], _Array]
 Labels = Annotated[NDArray[np.int16], _Array]
 Flags = Annotated[NDArray[np.bool_], _Array]
-Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+Number = Annotated[float, GetPydanticSchema(_number_schema)]
 """A number of a record's file: NaN, which JSON does not know, stands there as null."""
 
 

@@ -215,6 +215,9 @@ class Calibration(Shown):
                 motion=None if data.get("motion") is None else Motion.from_dict(data["motion"]),
             )
             json.dumps([data[name] for name in _TOLD], sort_keys=True)  # words as keys
+            for name in (*data["parameters"], *data["residuals"]):
+                if not isinstance(name, str):
+                    raise TypeError(f"{name!r} is a number where a name is expected")
         except (KeyError, TypeError, ValueError, IndexError, AttributeError, DataError) as error:
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             raise CalibrationError(

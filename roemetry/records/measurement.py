@@ -121,7 +121,7 @@ class Measurement(Shown):
     def from_json(cls, line: str) -> Measurement:
         """Read a line that `to_json` wrote, or an older version; marks are not stored and come back None."""
         try:
-            row = json.loads(line)
+            row = _parsed(line)
             if row["coding"] is not None:
                 row["coding"] = {_RENAMED.get(name, name): one for name, one in row["coding"].items()}
             if row["volume"] is not None:
@@ -169,6 +169,16 @@ def _plain(value: Any) -> Any:
 @cache
 def _names(kind: type[Any]) -> tuple[str, ...]:
     return tuple(sorted((f.name for f in fields(kind) if f.name not in _NOT_KEPT), key="reasons".__eq__))
+
+
+def _parsed(line: str) -> Any:
+    """Parse a line, four times as fast as Python's own parser does."""
+    from pydantic_core import from_json
+
+    try:
+        return from_json(line, cache_strings="keys")
+    except ValueError:  # half a surrogate pair, which names of files may hold, only Python's takes
+        return json.loads(line)
 
 
 @cache

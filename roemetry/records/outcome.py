@@ -89,9 +89,10 @@ class Estimate:
         parts = {"std": self.std, **self.budget}
         bad = [f"{name} {part}" for name, part in parts.items() if part < 0.0 or math.isinf(part)]
         check.require(not bad, f"uncertainties must be 0 or more, or NaN: {', '.join(bad)}")
-        check.require(
-            not self.interval[0] > self.interval[1], f"the interval {self.interval} ends before it begins"
-        )
+        low, high = self.interval
+        check.require(not low > high, f"the interval {self.interval} ends before it begins")
+        outside = self.value < low or self.value > high
+        check.require(not outside, f"the value {self.value} lies outside its interval {self.interval}")
         check.finish()
 
 
@@ -262,5 +263,6 @@ def _require_amount(check: Checker, name: str, unit: str, value: Number, reasons
 
 def _require_no_infinite(check: Checker, features: Mapping[str, Number]) -> None:
     """Require that features are numbers, or NaN."""
-    bad = ", ".join(name for name, value in features.items() if math.isinf(value))
-    check.require(not bad, f"infinite: {bad}")
+    if any(map(math.isinf, features.values())):  # each row of a record comes by here
+        bad = ", ".join(name for name, value in features.items() if math.isinf(value))
+        check.require(False, f"infinite: {bad}")

@@ -19,14 +19,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from urllib.parse import quote
 
 from roemetry.config.recipe import Recipe
 from roemetry.errors import FAULTS, DataError, RoemetryError
 from roemetry.io.files import LineFile, exclusive, make_folder, sha256_of, write_whole
+from roemetry.io.remote import Url, read_ahead
 from roemetry.records import AcquisitionReference, Reason, Trace
 from roemetry.run.executors import Executor, Lost
 from roemetry.run.pipeline import Pipeline, frame_of
-from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, read_record, summed_up
+from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, read_record, rows_of, summed_up
 from roemetry.run.rows import failed, measurements_of
 from roemetry.run.workers import Processes
 from roemetry.stages import Run
@@ -138,9 +140,11 @@ def derive(
     *,
     debug: bool = False,
     kept: KeptTraces | None = None,
+    product: str | None = None,
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """Let each sink derive its files from the record; a sink that fails does not stop the others.
 
+    Those of one `product`, by the id of its row or its acquisition, go to a folder of their own.
     Acquisitions whose traces were not `kept` are traced again where a sink asks for them.
     """
     # The record has the uncertainties; the replay is for pictures.
@@ -160,6 +164,12 @@ def derive(
         return replace(trace, acquisition=acquisition, frame=frame)
 
     run = Run(folder, recipe.product, lambda: read_record(folder), replay, provenance)
+    if product is not None:
+        rows = rows_of(folder, product)
+        run = replace(
+            run, folder=folder / f"product-{quote(product, safe=' ')}", measurements=lambda: iter(rows)
+        )
+        make_folder(run.folder)
     files: list[Path] = []
     faults: list[str] = []
     for chosen in recipe.sinks:
@@ -209,11 +219,19 @@ class _Worker:
         self._hashes = recipe.hashes
         self._doubts = _doubts_of(recipe)
 
+    def ahead(self, references: Sequence[AcquisitionReference]) -> None:
+        """Begin to fetch what will be read next."""
+        read_ahead(path for reference in references for path in reference.files.values())
+
     def __call__(self, reference: AcquisitionReference) -> Measured:
         try:
             before = _states_of(reference)
+            _refuse_changed(reference)
             acquisition = self._source.read(reference)
-            hashes = {f"{role}_sha256": sha256_of(path) for role, path in reference.files.items()}
+            hashes = {
+                f"{role}_sha256": reference.sha256.get(role) or sha256_of(path)
+                for role, path in reference.files.items()
+            }
             if _states_of(reference) != before:  # the hash may not be that of what was decoded
                 raise DataError("an image was written to while it was read", hint="run when it is whole")
         # Whatever a source raises, the batch goes on.
@@ -232,9 +250,22 @@ class _Worker:
         return [row.to_json() for row in rows], trace.seconds
 
 
+def _refuse_changed(reference: AcquisitionReference) -> None:
+    """Raise DataError where a file has not the hash that it must have."""
+    for role, expected in reference.sha256.items():
+        path = reference.files[role]
+        try:
+            found = sha256_of(path)
+        except OSError as error:
+            raise DataError(f"{path}: the {role} image cannot be read: {error.strerror or error}") from error
+        if found != expected:
+            raise DataError(f"{path}: has changed: its bytes have another hash than the manifest says")
+
+
 def _states_of(reference: AcquisitionReference) -> list[tuple[int, int, int]]:
     """Give what changes when one of the files is written to, or another takes its place."""
-    found = [path.stat() for path in reference.files.values() if path.is_file()]
+    local = (path for path in reference.files.values() if not isinstance(path, Url))  # a URL is read once
+    found = [path.stat() for path in local if path.is_file()]
     return [(state.st_ino, state.st_size, state.st_mtime_ns) for state in found]
 
 

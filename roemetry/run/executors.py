@@ -26,6 +26,16 @@ class Executor(Protocol):
     ) -> Iterator[Result | Lost[Task]]:
         """Give ``make(*given)(task)`` for each task, in order; every process makes its own worker once.
 
+        A worker with a method `ahead` is told the tasks that it will be given next.
+
         InterruptedRunError where the workers are gone; what was given before counts.
         """
         ...
+
+
+def results_of(worker: Callable[[Task], Result], chunk: Sequence[Task]) -> Iterator[Result]:
+    """Give the results of tasks done one after another; a worker that fetches `ahead` is told them first."""
+    ahead = getattr(worker, "ahead", None)
+    if ahead is not None:
+        ahead(chunk)
+    yield from map(worker, chunk)

@@ -23,12 +23,14 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roemetry.errors import RoemetryError
-from roemetry.records import Estimate, Grade, Product, ProductTrace, Reason, StripeMap
-from roemetry.records.arrays import Floats
+from roemetry.records import NOTHING, Estimate, Grade, Product, ProductTrace, Reason, StripeMap
+from roemetry.records.arrays import Flags, Floats
 from roemetry.records.calibration import Calibration
 from roemetry.run.monte_carlo import (
     CALIBRATION,
@@ -49,6 +51,7 @@ from roemetry.run.monte_carlo import (
     rerun,
     what_is_unstated,
 )
+from roemetry.run.scan import Placing
 
 _NOISE_PATTERNS = 12
 """Patterns of peak noise, at most: they know its part to 20 %."""
@@ -64,8 +67,10 @@ _MODES_SHARE = 0.9
 """Of the variance of the product's shape, what the modes of the calibration hold that are run; the sum is
 divided by what they hold. Against all modes the volume's part is then 1.02 to 1.05 times as large."""
 _MODES_MAX = 12
+_BLOCKS, _PLACES = 20, 6
+"""Of the lattice on which it is found how far a mode moves points: blocks of rows, and places along x."""
 _ROWS_APART = 8
-"""Every so many rows a point is asked how far a mode moves it: calibrations are smooth over tens of rows."""
+"""Of a scan's lines points of every so many rows tell it: calibrations are smooth over tens of rows."""
 _MODEL_DRAWS = 50
 """For a stage that draws its model's error and does not state it."""
 _GRADE_MOVES = 0.02
@@ -181,23 +186,10 @@ def _modes(scene: Scene, chain: Chain) -> tuple[Floats, float]:
     With the covariance C = L·Lᵀ and the points' places J·p, the points move by J·L·z for independent z of
     variance 1; the eigenvectors of (J·L)ᵀ·(J·L) are the directions of z that move them most.
     """
-    calibration, triangulator = scene.calibration, chain.triangulator
-    steps, shifted = _independent(calibration)
-    sparse = _every(scene.stripes, _ROWS_APART)
-    lit = sparse.product > 0
-
-    def points(moved: Calibration) -> Floats:
-        try:
-            xyz_mm = triangulator.triangulate(sparse, moved).xyz_mm[lit]
-        except RoemetryError:
-            return np.full(3 * int(lit.sum()), math.nan)
-        # where on the belt a product lies changes nothing of it
-        xyz_mm[:, :2] -= xyz_mm[:, :2].mean(axis=0)
-        return np.asarray(xyz_mm.ravel())
-
-    at = points(calibration)
-    moves = np.stack([points(moved) - at for moved in shifted])
-    moves = np.nan_to_num(moves)
+    steps, moves, share = _moves(scene, chain)
+    # where on the belt a product lies changes nothing of it
+    moves[:, :, :2] -= np.einsum("snk,n->sk", moves[:, :, :2], share)[:, None]
+    moves = (moves * np.sqrt(share)[:, None]).reshape(len(moves), -1)
     size, turned = np.linalg.eigh(moves @ moves.T)
     size, turned = np.maximum(size[::-1], 0.0), turned[:, ::-1]
     total = float(size.sum())
@@ -208,21 +200,76 @@ def _modes(scene: Scene, chain: Chain) -> tuple[Floats, float]:
     return turned[:, :count].T @ steps, float(held[count - 1])
 
 
+def _moves(scene: Scene, chain: Chain) -> tuple[Floats, Floats, Floats]:
+    """Give (step, parameter) the calibration's independent steps, and how the products move with them.
+
+    That is (step, node, 3) mm, and (node,) the share of the products' points at each. In a frame a point
+    moves as the nearest node of a lattice, which is the same for all frames; a scan's lines are its own.
+    """
+    stripes, calibration, triangulator = scene.stripes, scene.calibration, chain.triangulator
+    mine = stripes.product > 0
+    if isinstance(triangulator, Placing):
+        some = np.arange(stripes.rows) % _ROWS_APART == 0
+        x_px = np.where(some, stripes.x_px, np.nan)
+        steps, moves = _moved(x_px, stripes.rest_px, mine & some, calibration, triangulator)
+        return steps, moves.astype(np.float64), np.full(moves.shape[1], 1.0 / max(moves.shape[1], 1))
+    lattice = _lattice_of(calibration, triangulator)
+    stripe, row = np.nonzero(mine)
+    along = np.rint((stripes.x_px[mine] - lattice.first_px[stripe, row]) / lattice.step_px)
+    node = (stripe * _BLOCKS + row * _BLOCKS // stripes.rows) * _PLACES
+    many = np.bincount(node + np.clip(along, 0, _PLACES - 1).astype(np.int64))
+    held = np.flatnonzero(many)
+    return lattice.steps, lattice.moves_mm[:, held].astype(np.float64), many[held] / max(many.sum(), 1)
+
+
+class _Lattice(NamedTuple):
+    """Nodes in blocks of rows, and along x from the belt's place to that of the greatest height."""
+
+    steps: Floats
+    """(step, parameter) independent steps of the calibration."""
+    moves_mm: NDArray[np.float32]
+    """(step, node, 3) by how much each moves a node: stripe by stripe, down the rows, along x."""
+    first_px: Floats
+    """(stripe, row) the first node along x."""
+    step_px: float
+
+
 @lru_cache(maxsize=2)
-def _independent(calibration: Calibration) -> tuple[Floats, tuple[Calibration, ...]]:
-    """Give a calibration's independent steps that move anything, and what each makes of it."""
+def _lattice_of(calibration: Calibration, triangulator: Any) -> _Lattice:
+    rows = calibration.image_size[0]
+    ends_px = np.outer(calibration.height_range_mm, calibration.displacement_px_per_mm)
+    step_px = max(float(np.ptp(ends_px)) / (_PLACES - 1), 1e-3)
+    rest_px = calibration.rest_line_px(np.arange(rows, dtype=np.float64))
+    first_px = rest_px + ends_px.min()
+    # a map has one place in a row, so that the nodes of a block stand in rows next to each other
+    middle = (np.arange(_BLOCKS) + 0.5) * rows / _BLOCKS
+    row = np.clip(middle[:, None].astype(np.int64) + np.arange(_PLACES) - _PLACES // 2, 0, rows - 1).ravel()
+    x_px = np.full_like(first_px, np.nan)
+    x_px[:, row] = first_px[:, row] + step_px * np.tile(np.arange(_PLACES), _BLOCKS)
+    return _Lattice(*_moved(x_px, rest_px, np.isfinite(x_px), calibration, triangulator), first_px, step_px)
+
+
+def _moved(
+    x_px: Floats, rest_px: Floats, wanted: Flags, calibration: Calibration, triangulator: Any
+) -> tuple[Floats, NDArray[np.float32]]:
+    """Give the calibration's independent steps, and (step, place, 3) by how much each moves wanted places."""
+    lit, unknown = np.isfinite(x_px), np.full_like(x_px, np.nan)
+    places = StripeMap(
+        x_px, unknown, np.where(lit, wanted, NOTHING).astype(np.int16), lit, unknown, np.zeros_like(lit),
+        rest_px, np.empty(0, np.int16),
+    )  # fmt: skip
+
+    def points(moved: Calibration) -> Floats:
+        try:
+            return np.asarray(triangulator.triangulate(places, moved).xyz_mm[wanted])
+        except RoemetryError:
+            return np.full((int(wanted.sum()), 3), math.nan)
+
     steps = calibration.independent_steps()
     steps = steps[(steps != 0.0).any(axis=1)]
-    return steps, tuple(calibration.shifted(step) for step in steps)
-
-
-def _every(stripes: StripeMap, rows: int) -> StripeMap:
-    """Leave of a map the points of every so many rows."""
-    x_px = np.full_like(stripes.x_px, np.nan)
-    x_px[:, ::rows] = stripes.x_px[:, ::rows]
-    lit = np.isfinite(x_px)
-    product = np.where(lit, stripes.product, -1).astype(stripes.product.dtype)
-    return replace(stripes, x_px=x_px, product=product, seen=stripes.seen & lit)
+    at = points(calibration)
+    moves = [(points(calibration.shifted(step)) - at).astype(np.float32) for step in steps]
+    return steps, np.nan_to_num(np.array(moves).reshape(len(steps), len(at), 3))
 
 
 def _stated(
@@ -423,8 +470,10 @@ def _noise_of_height(product: Product, drawn: Sampler) -> float:
     near = np.flatnonzero((heights + _FAR * std_mm > product.height_max_mm).any(axis=0))
     window = slice(int(near[0]), int(near[-1]) + 1)
     heights, std_mm = heights[:, window], std_mm[:, window]
+    # NaN is no height: fmax passes over it
     highest = [
-        float(np.nanmax(heights + drawn.unit_noise(heights.shape) * std_mm)) for _ in range(_HEIGHT_PATTERNS)
+        float(np.fmax.reduce(heights + drawn.unit_noise(heights.shape) * std_mm, axis=None))
+        for _ in range(_HEIGHT_PATTERNS)
     ]
     return math.hypot(np.std(highest, ddof=1), lift_share(float(np.mean(highest)) - product.height_max_mm))
 

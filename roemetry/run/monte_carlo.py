@@ -31,6 +31,7 @@ from roemetry.records import (
 from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.records.penetration import Penetration, raise_surface
+from roemetry.records.view import View
 from roemetry.run.open_parts import split_products
 
 COVERAGE = 0.95
@@ -281,6 +282,8 @@ class Scene:
     outlines: tuple[Outline, ...]
     calibration: Calibration
     penetration: Penetration | None = None
+    view: View | None = None
+    """Of the calibration, as the products were made with it."""
 
 
 def propagate(
@@ -447,7 +450,7 @@ class Sampler:
         if offset_mm:
             profiles = raise_surface(profiles, offset_mm)
         drawn = calibration is not self._scene.calibration
-        view = calibration.view if drawn else triangulator.view(calibration)
+        view = calibration.view if drawn else self._scene.view
         found = split_products(profiles, outlines, calibration, self._scene.acquisition_id, view=view)
         return {product.number: product for product in found}
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -72,6 +73,7 @@ class OpenPart(NamedTuple):
         return self.points / max(self.points + self.sure, 1)
 
 
+@lru_cache(maxsize=2)
 def open_parts(
     peaks: Peaks, stripes: StripeMap, outlines: tuple[Outline, ...] = ()
 ) -> Mapping[int, OpenPart]:

@@ -170,7 +170,7 @@ class Pipeline:
             products = tuple(
                 self._outcome(product, doubts[product.number], steps.seconds) for product in assembled
             )
-            scene = Scene(acquisition.id, stripes, outlines, calibration, penetration)
+            scene = Scene(acquisition.id, stripes, outlines, calibration, penetration, view)
             products = self._drawn(products, scene, steps, self._chain)
             products = tuple(_with_open_points(found, opened) for found in products)
             products = self._concluded(products, doubts, steps, surfaces)
@@ -209,9 +209,9 @@ class Pipeline:
             if lines is not None and stripes is not None and calibration is not None:
                 per_line = stripes.stripe_count // len(lines.count)
                 kept, lines = placed_only(stripes, lines, slices, per_line // 2)
-                scene = Scene(acquisition.id, kept, (), calibration, self.recipe.penetration)
-                chain = replace(chain, triangulator=Placing(assembler, lines, self._chain.triangulator))
                 stripes, view = kept, self._view_of(calibration)
+                scene = Scene(acquisition.id, kept, (), calibration, self.recipe.penetration, view)
+                chain = replace(chain, triangulator=Placing(assembler, lines, self._chain.triangulator))
             else:
                 calibration = measured_by_another(slices)
             if self.recipe.penetration is not None:

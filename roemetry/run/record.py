@@ -9,7 +9,8 @@ from typing import Any
 
 from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, OutputError
-from roemetry.io.files import LineFile, sha256_of, write_whole
+from roemetry.io.files import LineFile, sha256_of, whole_file
+from roemetry.io.remote import Url
 from roemetry.records import AcquisitionReference, Measurement, Reason
 from roemetry.run.motion_trend import MotionTrend
 
@@ -20,7 +21,7 @@ PROVENANCE = "provenance.json"
 def read_record(folder: Path) -> Iterator[Measurement]:
     """Give the measurements of a run, one at a time; DataError where one stands twice."""
     path = folder / RECORD
-    lines: dict[str, int] = {}
+    seen: set[int] = set()  # of a long run the hashes of the ids take less memory than the ids
     try:
         with path.open(encoding="utf-8") as file:
             for number, line in enumerate(file, start=1):
@@ -33,17 +34,43 @@ def read_record(folder: Path) -> Iterator[Measurement]:
                             hint="`roemetry run` with --resume takes it away and goes on",
                         ) from error
                     raise DataError(f"{path}:{number}: {error.message}", hint=error.hint) from error
-                first = lines.setdefault(row.id, number)
-                if first != number:
+                mark = hash(row.id)
+                if mark in seen and (first := _line_of(path, row.id)) < number:
                     raise DataError(
                         f"{path}:{number}: {row.id} stands in line {first} already",
                         hint="it was put together by hand, or by two runs; run again with another --out",
                     )
+                seen.add(mark)
                 yield row
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: damaged: byte {error.start} of a block is not UTF-8") from error
     except OSError as error:
         raise OutputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _line_of(path: Path, name: str) -> int:
+    """Give the number of the first line that holds a row."""
+    with path.open(encoding="utf-8") as file:
+        return next(n for n, line in enumerate(file, start=1) if Measurement.from_json(line).id == name)
+
+
+def rows_of(folder: Path, name: str) -> list[Measurement]:
+    """Give the rows of an acquisition, or of the one that a product's id names; OutputError for none."""
+    path, acquisition = folder / RECORD, name.rpartition("#")[0] or name
+    marks = [f'"acquisition": {json.dumps(one, ensure_ascii=False)},'.encode() for one in (name, acquisition)]
+    found: list[Measurement] = []
+    try:
+        with path.open("rb") as file:
+            for line in file:
+                if marks[0] in line or marks[1] in line:
+                    found.append(Measurement.from_json(line.decode()))
+                elif found:
+                    break
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if not found:
+        raise OutputError(f"{path}: there is no product `{name}`", hint="an id is that of a row or an image")
+    return found
 
 
 def acquisitions_to_keep(
@@ -65,7 +92,7 @@ def acquisitions_to_keep(
     with LineFile(path):
         pass  # opening it takes a half line away
     by_id = {reference.id: reference for reference in references}
-    rows: dict[str, list[Measurement]] = {}
+    missing: dict[str, int] = {}
     for row in read_record(folder):
         if row.provenance.get("recipe_sha256") != recipe.sha256:
             raise OutputError(
@@ -73,11 +100,13 @@ def acquisitions_to_keep(
                 hint="choose another folder with --out",
             )
         _check_images(row, by_id.get(row.acquisition))
-        rows.setdefault(row.acquisition, []).append(row)
-    whole = {name for name, found in rows.items() if len(found) == found[0].products}
-    if len(whole) < len(rows):
-        kept = [row.to_json() + "\n" for name in rows if name in whole for row in rows[name]]
-        write_whole(path, "".join(kept))
+        missing[row.acquisition] = missing.get(row.acquisition, row.products) - 1
+    whole = {name for name, rows in missing.items() if rows == 0}
+    if len(whole) < len(missing):
+        with whole_file(path) as file:
+            file.writelines(
+                row.to_json().encode() + b"\n" for row in read_record(folder) if row.acquisition in whole
+            )
     return whole
 
 
@@ -85,7 +114,12 @@ def _check_images(row: Measurement, reference: AcquisitionReference | None) -> N
     """Refuse to go on with rows of other images than those that are there now."""
     for role, path in ({} if reference is None else reference.files).items():
         measured = row.provenance.get(f"{role}_sha256")
-        if measured is not None and path.is_file() and sha256_of(path) != measured:
+        if measured is None:
+            continue
+        now = reference.sha256.get(role) if reference else None
+        if now is None:  # of what lies on a network only a manifest says the hash without fetching it again
+            now = measured if isinstance(path, Url) or not path.is_file() else sha256_of(path)
+        if now != measured:
             raise OutputError(
                 f"{path}: another image than the one that was measured as {row.acquisition}",
                 hint="choose another folder with --out",

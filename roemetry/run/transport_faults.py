@@ -1,7 +1,7 @@
 """Faults of sensor and transport in one frame: lines that no sensor gives, and parts of another frame.
 
 Lines. A sensor's noise makes every row and every column another one; so lines of one content are a fault of
-the transport, and other lines have been lost.
+the transport, and other lines have been lost. So is a line of one dark level beside one with light in it.
 
 Joins. A lens blurs: from one pixel to the next, light changes by a part of what it changes by over six. Where
 it changes by all of that at once, at many places along one boundary between two rows or two columns and
@@ -73,15 +73,15 @@ def check_repeats(laser: Frame, before: NDArray[Any]) -> None:
     if before.shape != laser.pixels.shape or before.dtype != laser.pixels.dtype:
         return
     new, old = _words(laser.pixels), _words(before)
+    count = new.shape[1] // _RUN
     again = new == old
-    level = new == (new & np.uint64(0xFF)) * _SAME_BYTES
-    count = again.shape[1] // _RUN
-    runs = (again[:, : count * _RUN].reshape(len(again), count, _RUN)).all(axis=2)
-    runs &= ~level[:, : count * _RUN].reshape(len(again), count, _RUN).all(axis=2)
-    row, run = runs.nonzero()
-    if len(row) < _RUNS_MIN:
+    runs = np.ascontiguousarray(again[:, : count * _RUN]).view(np.uint32) == _ALL_FOUR
+    if np.count_nonzero(runs) < _RUNS_MIN:  # nearly always
         return
-    stretches = new[:, : count * _RUN].reshape(len(again), count, _RUN)[row, run]
+    level = new == (new & np.uint64(0xFF)) * _SAME_BYTES
+    runs &= np.ascontiguousarray(level[:, : count * _RUN]).view(np.uint32) != _ALL_FOUR
+    row, run = runs.nonzero()
+    stretches = new[:, : count * _RUN].reshape(len(new), count, _RUN)[row, run]
     row = row[_varied(stretches)]
     if len(row) < _RUNS_MIN or again.all():
         return
@@ -105,6 +105,8 @@ def check_repeats(laser: Frame, before: NDArray[Any]) -> None:
 
 
 _SAME_BYTES = np.uint64(0x0101010101010101)
+_ALL_FOUR = np.uint32(0x01010101)
+"""Four truths side by side, as one number: `_RUN` words that repeat."""
 
 
 def _words(pixels: NDArray[Any]) -> NDArray[np.uint64]:
@@ -134,7 +136,13 @@ def check_lines(laser: Frame) -> None:
 def _repeated(lines: NDArray[Any]) -> int | None:
     """Give the first of the lines that repeat others; None of none."""
     sampled = np.ascontiguousarray(lines[:, ::_SAMPLED]).reshape(len(lines), -1)
-    if _all_differ(sampled):
+    words = _words(sampled)
+    first = words[:, 0]
+    if ((first == words[:, -1]) & (first == words[:, words.shape[1] // 2])).any():
+        filled = _filled(lines, (words == words[:, :1]).all(axis=1))
+        if filled is not None:
+            return filled
+    if _all_differ(words):
         return None
     size, content = sampled[0].nbytes, sampled.tobytes()
     last: dict[bytes, int] = {}
@@ -150,18 +158,33 @@ def _repeated(lines: NDArray[Any]) -> int | None:
         last[one], lag_before = line, lag
     if not repeated:
         return None
-    level = [line for line in repeated if (lines[line] == lines[line].flat[0]).all()]
-    if len(last) < _NOISY_SHARE * (len(lines) - len(level)):
+    one_grey = [line for line in repeated if (lines[line] == lines[line].flat[0]).all()]
+    if len(last) < _NOISY_SHARE * (len(lines) - len(one_grey)):
         return None
-    usual = lines[[line for line in last.values() if line not in level]]
-    clipped = bool(level) and float((usual == lines[level[0]].flat[0]).mean()) > _CLIPPED_SHARE
-    return None if clipped and len(level) == len(repeated) else repeated[0]
+    usual = lines[[line for line in last.values() if line not in one_grey]]
+    clipped = bool(one_grey) and float((usual == lines[one_grey[0]].flat[0]).mean()) > _CLIPPED_SHARE
+    return None if clipped and len(one_grey) == len(repeated) else repeated[0]
 
 
-def _all_differ(lines: NDArray[Any]) -> bool:
-    """Say for certain that no two lines are alike, by sums of their bytes; False tells nothing."""
-    of_bytes = lines.view(np.uint8)
-    words = np.ascontiguousarray(of_bytes[:, : of_bytes.shape[1] // 8 * 8]).view(np.uint64)
+def _filled(lines: NDArray[Any], level: NDArray[np.bool_]) -> int | None:
+    """Give the first line of one dark level beside a line with light in it: no light ends within a pixel.
+
+    `level` says which lines may be of one level. Where the sensor clips darkness by itself, none is told.
+    """
+    other = lines[~level]
+    for line in np.flatnonzero(level):
+        beside = [k for k in (line - 1, line + 1) if 0 <= k < len(lines) and not level[k]]
+        grey = lines[line].flat[0]
+        if not beside or (lines[line] != grey).any() or (other < grey).any():
+            continue
+        lit = max(int(lines[k].max()) for k in beside) - int(grey) >= _STEP_SHARE * int(other.max())
+        if lit and float((other == grey).mean()) <= _CLIPPED_SHARE:
+            return int(line)
+    return None
+
+
+def _all_differ(words: NDArray[np.uint64]) -> bool:
+    """Say for certain that no two lines are alike, by sums of their words; False tells nothing."""
     sums = words @ (_ODD ** np.arange(1, words.shape[1] + 1, dtype=np.uint64))
     sums.sort()
     return bool((sums[1:] != sums[:-1]).all())
@@ -169,18 +192,16 @@ def _all_differ(lines: NDArray[Any]) -> bool:
 
 def check_joins(frame: Frame) -> None:
     """Refuse an image of one channel that is joined of two; DataError with the place of the join."""
-    import cv2
-
     some = frame.pixels[::_SAMPLED, ::_SAMPLED].ravel()
     brightest = 99 * some.size // 100
     bright = float(np.partition(some, brightest)[brightest])
     least = int(max(_STEP_SHARE * bright, _STEP_MIN * frame.white))
-    for lines, what in ((cv2.transpose(frame.pixels), "rows"), (frame.pixels, "columns")):
-        some = lines[::_SPARSE]
-        joined, alternate = _steep_steps(some, least)
-        if np.maximum(joined, alternate).max() <= _SPARSE_SHARE * _JOINED_SHARE * len(some):
+    for lines, what in ((frame.pixels.T, "rows"), (frame.pixels, "columns")):
+        some = np.ascontiguousarray(lines[::_SPARSE])
+        few = _SPARSE_SHARE * _JOINED_SHARE * len(some)
+        if _steepest(some, least) <= few or max(map(np.max, _steep_steps(some, least))) <= few:
             continue
-        joined, alternate = _steep_steps(lines, least)
+        joined, alternate = _steep_steps(np.ascontiguousarray(lines), least)
         beside = np.max([np.roll(joined, k) for k in range(-_BESIDE, _BESIDE + 1) if k], axis=0)
         count = np.maximum(alternate, joined - _TIMES_BESIDE * beside)
         place = int(count.argmax())
@@ -190,6 +211,14 @@ def check_joins(frame: Frame) -> None:
                 "than any lens draws: lines are lost there, or a part is another frame's",
                 hint="look at cable, network and frame grabber; take the image again",
             )
+
+
+def _steepest(lines: NDArray[Any], least: int) -> int:
+    """Count the lines whose light changes by so much at the boundary where most do: no join has fewer."""
+    import cv2
+
+    steep = cv2.absdiff(lines[:, :-1], lines[:, 1:]) > least
+    return int(cv2.reduce(steep.view(np.uint8), 0, cv2.REDUCE_SUM, dtype=cv2.CV_32S).max())
 
 
 def _steep_steps(lines: NDArray[Any], least: int) -> tuple[Integers, Integers]:

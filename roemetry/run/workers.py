@@ -14,7 +14,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from roemetry.errors import InterruptedRunError
-from roemetry.run.executors import Lost, Result, Task
+from roemetry.run.executors import Lost, Result, Task, results_of
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -39,9 +39,7 @@ class Processes:
         """See `Executor.in_order`; InterruptedRunError where a process died."""
         jobs = self.jobs
         if jobs == 1 or len(tasks) < 2:
-            worker = make(*given)
-            for task in tasks:
-                yield worker(task)
+            yield from results_of(make(*given), tasks)
             return
         from concurrent.futures import ProcessPoolExecutor
         from concurrent.futures.process import BrokenProcessPool
@@ -95,12 +93,11 @@ def _end_with_parent() -> None:
 
 
 def _work(tasks: list[Any]) -> tuple[list[Any], float]:
-    """Give the tasks' results, and the time of the slowest, s."""
+    """Give the tasks' results, and the processor time of the slowest, s; waiting for a network is none."""
     if _worker is None:
         raise AssertionError("a worker process was not started by _start")
-    results, slowest_s = [], 0.0
-    for task in tasks:
-        begin = time.perf_counter()
-        results.append(_worker(task))
-        slowest_s = max(slowest_s, time.perf_counter() - begin)
+    results, slowest_s, begin = [], 0.0, time.thread_time()
+    for result in results_of(_worker, tasks):
+        results.append(result)
+        slowest_s, begin = max(slowest_s, time.thread_time() - begin), time.thread_time()
     return results, slowest_s

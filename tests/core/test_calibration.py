@@ -30,6 +30,7 @@ def test_round_trip(rig, tmp_path: Path) -> None:
         ("method: block-linear", "", "'method' is missing"),
         ("rows: 240", "rows: many", "damaged"),
         ("covariance:", "covarianze:", "'covariance' is missing"),
+        ("residuals:", "residuals: {1.5: 2.0}\nother:", "a number where a name"),
         ("rest_px:", "rest_px: [[1, 2], [3]]\nother:", "damaged"),
     ],
 )

@@ -145,6 +145,16 @@ def test_dark_rows_of_a_sensor_that_clips_are_no_fault(rng: np.random.Generator)
     prepare(Acquisition("a", (frame,)), turn_deg=0, subtract="none")
 
 
+@pytest.mark.parametrize("lines", [1, 3])
+def test_black_lines_that_fill_up_a_frame_refuse_it(lines: int, rng: np.random.Generator) -> None:
+    light = 12.0 + 180.0 * (np.arange(320) % 16 < 3)
+    pixels = np.clip(rng.normal(light, 2.0, (200, 320)), 0, 255).astype(np.uint8)
+    pixels[200 - lines :] = 0
+    frame = Frame(pixels, role="laser", name="frame", bit_depth=8)
+    with pytest.raises(DataError, match=f"row {200 - lines} .* were lost"):
+        prepare(Acquisition("a", (frame,)), turn_deg=0, subtract="none")
+
+
 def test_a_row_of_numbers_amid_a_longer_value_is_read_as_yaml_reads_it(tmp_path: Path) -> None:
     path = tmp_path / "numbers.yaml"
     path.write_text("a: [1.0,\nb: [2.0, 3.0]\n  4.0]\nc: [5.0]\n", "utf-8")

@@ -310,7 +310,7 @@ def _much_evener(one: Floats, other: Floats, seen: Integers) -> bool:
     next_one = np.diff(seen[both]) == 1
     # both of what bends the surface at each stripe, and of its step from each stripe to the next
     for of in (np.abs, lambda bend: np.abs(np.diff(bend)[next_one])):
-        small, large = (float(np.median(of(left[both]))) for left in (one, other))
+        small, large = (median_of(of(left[both])) for left in (one, other))
         if not (small < _PATTERN_SHARE * large and large - small > _PATTERN_MIN_PX):
             return False
     return True

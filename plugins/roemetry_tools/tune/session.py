@@ -56,6 +56,16 @@ _PICTURES_KEPT = 4
 """Frames between which one goes back and forth."""
 
 
+_NOT_SERVED = "files neither in the recipe's folder nor in those of what it opened with"
+
+
+def _options_files(recipe: Recipe) -> list[Path]:
+    """Give the files that the options of a recipe's stages name."""
+    return [
+        value for stage in recipe.stages.values() for _, value in stage.options if isinstance(value, Path)
+    ]
+
+
 class Session:
     """A recipe being tuned: its text, one frame, and the results of stages that need not run again.
 
@@ -82,9 +92,17 @@ class Session:
         self._pictures: dict[str, bytes] = {}
         self._text = _text_of(self._path)
         self._own: bytes | None = None
-        source = Recipe.load(self._path, registry=self.registry).source_path.resolve()
-        self._served = (self._path.parent, source if source.is_dir() else source.parent)
-        """Folders of which the page may ask images: the recipe's, and that of the source it opened with."""
+        opened = Recipe.load(self._path, registry=self.registry)
+        files = [
+            file for one in opened.source.make().references(opened.source_path) for file in one.files.values()
+        ]
+        source = opened.source_path.resolve()
+        self._served = {
+            self._path.parent,
+            source if source.is_dir() else source.parent,
+            *{file.resolve().parent for file in (*files, *_options_files(opened))},
+        }
+        """Folders of which the page may ask files: the recipe's, and those of what it opened with."""
         self._base = parse(self._text, str(self._path)).data
         self._references(self._recipe(Draft(self._base)))
 
@@ -209,13 +227,12 @@ class Session:
         recipe = Recipe.drafted(self._path, draft, self.registry, read_calibration=self._calibration)
         if draft.faults:
             raise ConfigurationError([f"{draft.place(fault.path)}: {fault.said}" for fault in draft.faults])
-        asked = recipe.source_path.resolve()
-        if not any(asked.is_relative_to(folder) for folder in self._served):
-            place = draft.place(("source", "path"))
-            raise ConfigurationError(
-                [f"{place}: source.path: neither in the recipe's folder nor the source it had when opened"]
-            )
+        if not self._is_served(recipe.source_path, *_options_files(recipe)):
+            raise ConfigurationError([f"{draft.place(('source', 'path'))}: source.path: {_NOT_SERVED}"])
         return recipe
+
+    def _is_served(self, *files: Path) -> bool:
+        return all(any(file.resolve().is_relative_to(folder) for folder in self._served) for file in files)
 
     def _calibration(self, path: Path) -> Calibration:
         try:
@@ -227,7 +244,10 @@ class Session:
     def _references(self, recipe: Recipe) -> Sequence[AcquisitionReference]:
         key = _source_key(recipe)
         if self._listed is None or self._listed[0] != key:
-            self._listed = key, recipe.source.make().references(recipe.source_path)
+            listed = recipe.source.make().references(recipe.source_path)
+            if not self._is_served(*{file for one in listed for file in one.files.values()}):
+                raise ConfigurationError(f"source: {_NOT_SERVED}")
+            self._listed = key, listed
         return self._listed[1]
 
     def _acquisition(self, recipe: Recipe, reference: AcquisitionReference) -> Acquisition:

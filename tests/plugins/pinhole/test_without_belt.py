@@ -36,6 +36,8 @@ def from_pose(boards: CalibrationSet) -> Calibration:
 def test_without_belt_and_reference_it_is_refused(boards: CalibrationSet) -> None:
     with pytest.raises(CalibrationError, match="nothing shows where the belt is"):
         PinholeCalibrator().calibrate(boards)
+    with pytest.raises(CalibrationError, match="not where they begin"):
+        PinholeCalibrator(PinholeCalibratorOptions(gravity=(0.0, 0.0, 1.0))).calibrate(boards)
     with pytest.raises(CalibrationError, match="not seen in the pose '99'"):
         PinholeCalibrator(PinholeCalibratorOptions(reference_pose="99")).calibrate(boards)
 
@@ -50,6 +52,36 @@ def test_heights_count_from_the_named_board(from_pose: Calibration) -> None:
     low = points_of(from_pose.parameters, stripe, x_px, row)[:, 2]
     high = points_of(with_belt.parameters, stripe, x_px, row)[:, 2]
     assert high - low == pytest.approx(6.0, abs=0.1)
+
+
+def test_heights_count_along_gravity_from_the_board_s_middle(
+    boards: CalibrationSet, from_pose: Calibration
+) -> None:
+    # the camera looks straight down on boards that lie level: gravity is its z, or 10° beside it
+    options = {"reference_pose": "pose 0", "gravity_std_deg": 0.2}
+
+    def with_gravity(tilt_deg: float, sign: float = 1.0) -> Calibration:
+        down = (float(np.sin(np.radians(tilt_deg))), 0.0, sign * float(np.cos(np.radians(tilt_deg))))
+        return PinholeCalibrator(PinholeCalibratorOptions(**options, gravity=down)).calibrate(boards)
+
+    flat, tilted = with_gravity(0.0), with_gravity(10.0)
+    assert flat.parameters["belt_per_mm"] == pytest.approx(from_pose.parameters["belt_per_mm"], abs=5e-5)
+    normal = tilted.parameters["belt_per_mm"] / np.linalg.norm(tilted.parameters["belt_per_mm"])
+    assert np.degrees(np.arcsin(normal[0])) == pytest.approx(10.0, abs=1e-6)
+    # heights begin at the board's middle, whose image is the mean of its marks'
+    middle_px = find_marks(boards.observations[0].frame, boards.boards[0]).xy_px.mean(axis=0)
+    ray = (middle_px - flat.parameters["principal_px"]) / flat.parameters["focal_px"]
+    depth_mm = 1.0 / (np.append(ray, 1.0) @ tilted.parameters["belt_per_mm"])
+    assert depth_mm == pytest.approx(1.0 / flat.parameters["belt_per_mm"][2], abs=0.1)
+    assert depth_mm == pytest.approx(
+        1.0 / (np.append(ray, 1.0) @ from_pose.parameters["belt_per_mm"]), abs=0.1
+    )
+    # a direction that is uncertain by 0.2° makes the plane uncertain by that
+    at = slice(-3, None)
+    angle = np.sqrt(tilted.covariance[at, at].diagonal()) / np.linalg.norm(tilted.parameters["belt_per_mm"])
+    assert np.degrees(angle[1]) == pytest.approx(0.2, abs=0.1)
+    with pytest.raises(CalibrationError, match="does not look down"):
+        with_gravity(10.0, sign=-1.0)
 
 
 def test_its_file_says_so_and_others_stay_as_they_are(from_pose: Calibration, tmp_path: Path) -> None:

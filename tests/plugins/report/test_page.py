@@ -6,10 +6,12 @@ import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from html import unescape
 
+import numpy as np
 import pytest
 
 from roemetry.errors import OutputError
 from roemetry.records import Estimate, Grade, Reason, Shares, Trace, Volume, Weight
+from roemetry_report import sink
 from roemetry_report.sink import Report, ReportOptions
 
 NASTY = "run & <script>alert(\"1\")</script> 'x'"
@@ -236,10 +238,43 @@ def test_no_pictures_at_all_when_none_are_wanted(synthetic, tmp_path):
 
 
 def test_long_runs_get_a_table_that_opens(synthetic, tmp_path):
-    rows = [synthetic.failed(f"p{i}") for i in range(2100)]
+    rows = [synthetic.failed(f"p{i}") for i in range(600)]
     page = Page(written(synthetic.run_of(tmp_path, rows, {}), products_max=1, worst_max=1))
-    assert len(page.rows) == 2000
-    assert "first 2000 of 2100 rows" in page.words
+    assert len(page.rows) == 500
+    assert "first 500 of 600 rows" in page.words
+
+
+def test_a_long_run_tells_its_spread_its_reasons_and_an_example_of_each_kind(synthetic, tmp_path):
+    (good,) = synthetic.measurements_of(synthetic.Scene("x"))
+    rng = np.random.default_rng(5)
+    rows = [
+        replace(
+            good,
+            id=f"p{i}#1",
+            acquisition=f"p{i}",
+            height_max_mm=Estimate(float(rng.normal(20.0, 0.1)) if i != 77 else 30.0),
+            grade=Grade("henkei" if i == 150 else "good"),
+        )
+        for i in range(200)
+    ]
+    rows[120] = synthetic.failed("p120")
+    page = Page(written(synthetic.run_of(tmp_path, rows, {}), products_max=6, worst_max=0))
+    assert "Largest height, mm: median 20.0" in page.words
+    assert "robust standard deviations from the median, the farthest p77#1 (30.0)" in page.words
+    for said in ("an example of grade henkei", "an example of failed", "What is said of the products"):
+        assert said in page.words
+    assert page.sections == 6
+
+
+def test_a_page_is_cut_to_what_can_be_opened(synthetic, tmp_path, monkeypatch):
+    rows = [synthetic.failed(f"p{i}") for i in range(40)]
+    whole = written(synthetic.run_of(tmp_path, rows, {}), products_max=40, worst_max=0)
+    monkeypatch.setattr(sink, "_PAGE_MAX", len(whole) - 5_000)
+    text = written(synthetic.run_of(tmp_path, rows, {}), products_max=40, worst_max=0)
+    assert len(text) <= len(whole) - 5_000
+    assert 0 < Page(text).sections < 40
+    assert len(Page(text).rows) == 40
+    assert "--product ID" in text
 
 
 def test_a_replay_that_gives_another_volume_is_told(synthetic, tmp_path):

@@ -55,19 +55,20 @@ def test_a_parabolic_cap_is_exact() -> None:
     for end, (length, volume) in enumerate([(1.0, 11.0 / 3.0), (2.0, 40.0 / 3.0)]):
         found = slice_rules.taper_of(t, area, end, 5.0, True)
         assert found[:3] == pytest.approx((volume, length, -2.0 * t[-end]), abs=1e-12)
-        assert found[3] == slice_rules.TAPERED
+        assert found[3] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_slices_that_do_not_taper_have_no_tapered_cap() -> None:
+def test_a_taper_of_slices_that_do_not_taper_is_not_believed() -> None:
     t, area = np.array([0.0, 1.0, 2.0]), np.full(3, 7.0)
-    assert slice_rules.taper_of(t, area, 0, 3.0, True) == (
-        10.5,
-        1.5,
-        pytest.approx(np.nan, nan_ok=True),
-        slice_rules.BLUNT,
-    )
-    volume, length, _, kind = slice_rules.taper_of(t, area, 1, 3.0, False)
-    assert (volume, length, kind) == (0.0, 0.0, slice_rules.NO_CAP)
+    for end, limited in ((0, True), (1, False)):
+        volume, length, _, trust = slice_rules.taper_of(t, area, end, 3.0, limited)
+        assert (volume, length, trust) == (0.0, 0.0, 0.0)
+
+
+def test_a_taper_past_the_next_stripe_is_believed_ever_less() -> None:
+    t = np.array([-3.0, -1.0, 2.0])
+    trusts = [slice_rules.taper_of(t, 16.0 - t**2, 0, 1.0 / over, True)[3] for over in (1.0, 1.15, 1.3, 2.0)]
+    assert trusts == pytest.approx([0.9, 0.5, 0.12, 0.0], abs=0.02)
 
 
 def test_smooth_areas_are_even(rng: np.random.Generator) -> None:

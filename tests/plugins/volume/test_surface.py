@@ -360,7 +360,7 @@ def test_belt_peaks_behind_unseen_rows_do_not_pull_the_rim_down(beyond: int) -> 
     made, true_mm3 = dome(wall=8.0)
     spoilt = with_belt_peaks(made, beyond)
     assert points_of(spoilt).xyz_mm[:, 2].min() == pytest.approx(points_of(made).xyz_mm[:, 2].min())
-    fused = fuse(spoilt, spoilt.view, spoilt.outline.xy_px)
+    fused = fuse(spoilt, spoilt.view, spoilt.outline)
     assert fused.volume_mm3 == pytest.approx(true_mm3, rel=0.01)
 
 
@@ -411,7 +411,7 @@ def test_a_dome_keeps_its_outermost_row() -> None:
 @pytest.mark.parametrize("made", [box, dome, half_cylinder])
 def test_the_nodes_stand_for_all_of_the_footprint(made) -> None:
     product = made()[0]
-    fused = fuse(product, product.view, product.outline.xy_px)
+    fused = fuse(product, product.view, product.outline)
     assert fused.weight_mm2.sum() == pytest.approx(abs(area_of(fused.contour)), rel=1e-9)
 
 
@@ -421,4 +421,4 @@ def test_a_wall_that_faces_the_camera_is_in_the_outline_or_too_dark_to_show(lowe
     made, true_mm3 = box(y0=17.0)
     corners = [[i, 17.0 + j, z] for i in (-30.0, 30.0) for j in (-13.0, 13.0) for z in (lowest_mm, 16.5)]
     hull = cv2.convexHull(made.view.project(np.array(corners)).astype(np.float32))[:, 0].astype(float)
-    assert fuse(made, made.view, hull).volume_mm3 == pytest.approx(true_mm3, rel=0.01)
+    assert fuse(made, made.view, Outline(1, hull)).volume_mm3 == pytest.approx(true_mm3, rel=0.01)

@@ -324,6 +324,18 @@ def test_uncertainties_are_drawn_when_they_are_wished_for(line) -> None:
     assert quick["rows"][0]["volume"]["visible_mm3"]["std"] is None
 
 
+def test_files_beside_the_recipes_folder_are_not_read(line, tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = line()
+    session = Session(path)
+    away = tmp_path_factory.mktemp("away")
+    for name in ("p01", "p02"):
+        cv2.imwrite(str(away / f"{name}.png"), np.zeros((8, 8), np.uint8))
+    asked = wish(session)
+    for key, value in (("path", str(away)), ("options.dark", f"{away}/{{id}}.png")):
+        header, _ = ask(session, asked.model_copy(update={"source": {**asked.source, key: value}}))
+        assert "neither in the recipe's folder" in header["faults"][0]["said"], key
+
+
 def broken(*_: object) -> None:
     raise IndexError("off by one")
 
