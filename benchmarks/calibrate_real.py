@@ -62,7 +62,7 @@ def _boards(folder: Path, extractor: str, channel: str, contrast: float) -> None
     off = plane_distances(found.geometry, gathered.points)
     used = found.stripe_used
     print(f"laser_on_circle_grid: {len(first.views)} of 12 boards, left out: {seen.left_out or 'none'}")
-    print(f"  marks: reprojection rms {np.sqrt((found.corner_px**2).sum(axis=1).mean()):.4f} px, all marks")
+    print(f"  corners: reprojection rms {np.sqrt((found.corner_px**2).sum(axis=1).mean()):.4f} px, all")
     print(
         f"  fx, fy {found.geometry.camera[1]:.2f} {found.geometry.camera[0]:.2f} px (author 1144.44 1142.49)"
     )
@@ -151,7 +151,7 @@ def _chessboard(folder: Path) -> None:
     found = _adjusted(first, np.empty((0, 3)), nothing)
     rms = np.sqrt((found.corner_px**2).sum(axis=1).mean())
     print(f"chessboard_mit: {len(first.views)} of {len(files)} boards, left out: {seen.left_out or 'none'}")
-    print(f"  marks: reprojection rms {rms:.4f} px, all marks; fx {found.geometry.camera[0]:.1f} px")
+    print(f"  corners: reprojection rms {rms:.4f} px, all corners; fx {found.geometry.camera[0]:.1f} px")
 
 
 if __name__ == "__main__":

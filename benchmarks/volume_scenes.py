@@ -265,7 +265,7 @@ def measured(laser: Frame, plain: Frame, calibration: Calibration, outline: str)
 
 
 def lifted(stripes: StripeMap, calibration: Calibration) -> Profiles:
-    """Meet the rays of coded peaks with the true planes."""
+    """Meet the rays of labelled peaks with the true planes."""
     view = calibration.view
     assert view is not None
     count, rows = stripes.x_px.shape

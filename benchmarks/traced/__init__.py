@@ -1,4 +1,4 @@
-"""Skeins measured without a rendered image: rays are traced, peaks drawn, then coded and triangulated.
+"""Skeins measured without a rendered image: rays are traced, peaks drawn, then labelled and triangulated.
 
 What the light planes meet is exact; each peak has noise, faint ones are lost, neighbours merge, and the coder
 must find the stripes' numbers: all that stands between a product and its grade but the image itself. A skein

@@ -1,4 +1,4 @@
-"""One skein on one rig: traced, coded, and triangulated exactly and by the paper's model."""
+"""One skein on one rig: traced, labelled, and triangulated exactly and by the paper's model."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.coded import CodingRig, dense_rig, easy_rig, sample_from
-from benchmarks.coded.crossings import Crossings, crossings_of
-from benchmarks.coded.products import in_view
+from benchmarks.labelled import CodingRig, dense_rig, easy_rig, sample_from
+from benchmarks.labelled.crossings import Crossings, crossings_of
+from benchmarks.labelled.products import in_view
 from benchmarks.volume_scenes import lifted, rig_of
 from roemetry.errors import StageError
 from roemetry.records import Peaks, Product

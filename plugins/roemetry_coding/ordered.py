@@ -34,7 +34,7 @@ class OrderedOptions(BridgingOptions):
 
 _LIVE_ROWS_MIN = 15  # rows with a peak on its rest line that show a stripe to be lit: fewer are stray peaks
 _STEP_MAX_PX = 7.0  # px from row to row: half the paper's body window
-_CODED_SHARE_MIN = 0.4  # of the peaks: where less finds a stripe, order alone does not explain the image
+_LABELLED_SHARE_MIN = 0.4  # of the peaks: where less finds a stripe, order alone does not explain the image
 
 
 class Ordered(Coder[OrderedOptions]):
@@ -75,7 +75,7 @@ class Ordered(Coder[OrderedOptions]):
             high_mm,
             rest.tolerance_px,
         )
-        coded = refuse_doubtful(
+        labelled = refuse_doubtful(
             peaks.row,
             peaks.x_px,
             stripe,
@@ -85,10 +85,10 @@ class Ordered(Coder[OrderedOptions]):
             self.options.margin_min * DEAREST,
             AMBIGUOUS,
         )
-        coded /= len(peaks)
-        if coded < _CODED_SHARE_MIN:
+        labelled /= len(peaks)
+        if labelled < _LABELLED_SHARE_MIN:
             raise StageError(
-                f"only {coded:.0%} of the peaks are in an order that stripes can have: "
+                f"only {labelled:.0%} of the peaks are in an order that stripes can have: "
                 "that is noise, not stripes",
                 hint="raise the extractor's threshold, or look at the image",
             )
@@ -307,12 +307,12 @@ def refuse_doubtful(
     row: Integers, x_px: Floats, stripe: Integers, dearer: Floats, stripes: int, step_max_px: float,
     dearer_min: float, refused: int,
 ) -> int:  # fmt: skip
-    """Refuse coded peaks that another verdict suits as well or that stand alone; gives how many stay coded.
+    """Refuse labelled peaks that another verdict suits as well or that stand alone; gives how many are left.
 
     Parameters
     ----------
     row, x_px, stripe
-        (peak,) sorted by row; `stripe` below 0 is not coded; changed.
+        (peak,) sorted by row; `stripe` below 0 is not labelled; changed.
     dearer
         (peak,) see `order_rows`.
     stripes
@@ -335,9 +335,9 @@ def refuse_doubtful(
         if q >= 0 and 0 < row[p] - row[q] <= 3 and abs(x_px[p] - x_px[q]) <= step_max_px * (row[p] - row[q]):
             found[p] = found[q] = True
         last[s] = p
-    coded = 0
+    labelled = 0
     for p in range(row.shape[0]):
         if stripe[p] >= 0 and not (found[p] and dearer[p] >= dearer_min):
             stripe[p] = refused
-        coded += stripe[p] >= 0
-    return coded
+        labelled += stripe[p] >= 0
+    return labelled

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from roemetry.errors import StageError
-from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
+from roemetry.records import AMBIGUOUS, UNLABELLED, Peaks, Reason, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Capabilities, Coder, StageOptions
@@ -112,7 +112,7 @@ class Pieces(Coder[PiecesOptions]):
             )
         pieces = pieces_of(peaks, fragment, options.smallest_piece_rows)
         numbers = numbers_of(pieces, options.longest_break_rows, options.margin_min)
-        stripe = np.full(len(peaks), UNCODED, np.int64)
+        stripe = np.full(len(peaks), UNLABELLED, np.int64)
         margin = np.full(len(peaks), np.nan)
         for part, number, sure in zip(pieces.peaks, numbers.number, numbers.margin, strict=True):
             stripe[part] = number if number >= 0 else AMBIGUOUS

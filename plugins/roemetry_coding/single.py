@@ -25,7 +25,7 @@ import numpy as np
 from pydantic import Field
 
 from roemetry.errors import StageError
-from roemetry.records import AMBIGUOUS, UNCODED, Peaks, StripeMap
+from roemetry.records import AMBIGUOUS, UNLABELLED, Peaks, StripeMap
 from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import ON_BELT, Calibration
 from roemetry.stages import Capabilities, Coder
@@ -62,8 +62,8 @@ class Single(Coder[SingleOptions]):
     expected_failures = MappingProxyType(
         dict.fromkeys(
             (
-                "check_a_dome_is_coded_whole",
-                "check_a_mirrored_rig_is_coded_alike",
+                "check_a_dome_is_labelled_whole",
+                "check_a_mirrored_rig_is_labelled_alike",
                 "check_a_missing_stripe_shifts_nothing",
                 "check_a_smooth_wedge_is_product",
                 "check_a_grazed_tail_is_product",
@@ -111,7 +111,7 @@ class Single(Coder[SingleOptions]):
                 hint="lower the extractor's threshold, or look at the image: is the laser on?",
             )
         margin = np.clip(dearer / (_SKIP + _JUMP), 0.0, 1.0)
-        stripe = np.where(path, np.where(margin < self.options.margin_min, AMBIGUOUS, 0), UNCODED)
+        stripe = np.where(path, np.where(margin < self.options.margin_min, AMBIGUOUS, 0), UNLABELLED)
         on_belt = calibration is not None and calibration.reference == ON_BELT
         if calibration is not None and on_belt:
             rest = calibrated_rest_lines(peaks, calibration)

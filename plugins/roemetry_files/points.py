@@ -1,4 +1,4 @@
-"""The sinks `points` (CSV) and `point-cloud` (PLY): a file of every coded point for each acquisition."""
+"""The sinks `points` (CSV) and `point-cloud` (PLY): a file of every labelled point for each acquisition."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def write_each(
 
 
 class Points(Sink[StageOptions]):
-    """Writes ``points/<acquisition>.csv`` with a line for each coded point.
+    """Writes ``points/<acquisition>.csv`` with a line for each labelled point.
 
     Stripes are counted from 1, left to right; product 0 is the belt. Pixels are those of the turned image.
     """
 
     def write(self, run: Run) -> Sequence[Path]:
-        """Write a file for each acquisition that was coded."""
+        """Write a file for each acquisition that was labelled."""
         return write_each(run, "points", ".csv", _table)
 
 

@@ -144,7 +144,7 @@ COLUMNS: dict[str, Column] = {
     "stripes expected": _attribute("coding", "stripes"),
     "stripes seen": _attribute("coding", "stripes_seen"),
     "peaks": _attribute("coding", "peaks"),
-    "peaks coded": _attribute("coding", "coded"),
+    "peaks labelled": _attribute("coding", "labelled"),
     "peaks ambiguous": _attribute("coding", "ambiguous"),
     "product rows seen": _attribute("coding", "rows_seen"),
     "product rows interpolated": _attribute("coding", "rows_interpolated"),

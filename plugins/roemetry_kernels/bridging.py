@@ -1,4 +1,4 @@
-"""From coded peaks to a dense stripe map: belt or product, short gaps bridged, products numbered."""
+"""From labelled peaks to a dense stripe map: belt or product, short gaps bridged, products numbered."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
+from roemetry.records import AMBIGUOUS, UNLABELLED, Peaks, Reason, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry.stages import StageOptions
 from roemetry_kernels.compiling import kernel
@@ -41,14 +41,14 @@ def bridged(
     smallest_product_points: int,
     reasons: list[Reason],
 ) -> StripeMap:
-    """Lay coded peaks out over (stripe, row) and bridge short gaps by straight lines (section 3.3).
+    """Lay labelled peaks out over (stripe, row) and bridge short gaps by straight lines (section 3.3).
 
     Parameters
     ----------
     peaks
         The frame's peaks.
     stripe
-        (peak,) stripe, `UNCODED` or `AMBIGUOUS`.
+        (peak,) stripe, `UNLABELLED` or `AMBIGUOUS`.
     margin
         (peak,) margin of the stripe over the second best.
     rest
@@ -77,8 +77,8 @@ def bridged(
         )
         for values in (x_px, laid.x_std_px, laid.margin):
             values[dirt] = np.nan
-        coded = np.flatnonzero(stripe >= 0)
-        laid.peak_stripe[coded[dirt[stripe[coded], peaks.row[coded]]]] = UNCODED
+        labelled = np.flatnonzero(stripe >= 0)
+        laid.peak_stripe[labelled[dirt[stripe[labelled], peaks.row[labelled]]]] = UNLABELLED
         seen &= ~dirt
     count = laid.refused
     if count:
@@ -128,12 +128,12 @@ def laid_out(
     row: Integers, x_px: Floats, x_std_px: Floats, stripe: Integers, margin: Floats, refused: int,
     rest_px: Floats, tolerance_px: float, reach_px: float, longest_gap_rows: int, smallest: int,
 ) -> tuple[Floats, Floats, Floats, Flags, Labels, Labels, Flags, Flags, int]:  # fmt: skip
-    """Lay coded peaks out over (stripe, row); of two in one cell the last one counts.
+    """Lay labelled peaks out over (stripe, row); of two in one cell the last one counts.
 
     Parameters
     ----------
     row, x_px, x_std_px, stripe, margin
-        (peak,) what is known of each; `stripe` below 0 is not coded, `refused` is refused.
+        (peak,) what is known of each; `stripe` below 0 is not labelled, `refused` is refused.
     refused
         See above.
     rest_px, tolerance_px, reach_px, longest_gap_rows

@@ -29,18 +29,18 @@ def keep_order(peaks: Peaks, stripe: Integers) -> Integers:
 
 @kernel
 def refuse_disorder(row: Integers, stripe: Integers, refused: int) -> int:
-    """Write `refused` where a row's stripes do not increase, in place; gives how many peaks stay coded."""
-    coded, before, left = 0, -1, -1
+    """Write `refused` where a row's stripes do not increase, in place; gives how many peaks stay labelled."""
+    labelled, before, left = 0, -1, -1
     for p in range(row.shape[0]):
         own = stripe[p]
         if own < 0:
             continue
-        coded += 1
+        labelled += 1
         if before >= 0 and row[before] == row[p] and own <= left:
-            coded -= (stripe[before] >= 0) + 1
+            labelled -= (stripe[before] >= 0) + 1
             stripe[before] = stripe[p] = refused
         before, left = p, own
-    return coded
+    return labelled
 
 
 def refuse_unexplained_gaps(
@@ -63,7 +63,7 @@ def refuse_unexplained_gaps(
     peaks
         The frame's peaks.
     stripe
-        (peak,) stripe, `UNCODED` or `AMBIGUOUS`.
+        (peak,) stripe, `UNLABELLED` or `AMBIGUOUS`.
     line
         (peak,) rest line each peak lies on, −1 for none.
     rest_px

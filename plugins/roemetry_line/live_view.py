@@ -33,7 +33,7 @@ class LiveView:
         self._last_s = 0.0
 
     def show(self, acquisition: Acquisition, trace: Trace | None, rows: Sequence[NewRow]) -> None:
-        """Write the image, the coded points and the outlines of an acquisition, and what was found."""
+        """Write the image, the labelled points and the outlines of an acquisition, and what was found."""
         now = time.monotonic()
         if now - self._last_s < _EVERY_S or not watched(self._folder.parent):
             return
@@ -61,7 +61,7 @@ class LiveView:
 
 
 def _points(trace: Trace | None) -> list[list[float]]:
-    """Give x, y and product (0: belt) of the coded points, thinned out, px in the turned image."""
+    """Give x, y and product (0: belt) of the labelled points, thinned out, px in the turned image."""
     stripes = None if trace is None else trace.stripes
     if stripes is None:
         return []

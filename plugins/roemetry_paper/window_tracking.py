@@ -27,7 +27,7 @@ import numpy as np
 from pydantic import Field
 
 from roemetry.errors import StageError
-from roemetry.records import AMBIGUOUS, UNCODED, Peaks, Reason, StripeMap
+from roemetry.records import AMBIGUOUS, UNLABELLED, Peaks, Reason, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Coder
@@ -177,7 +177,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         fragments: int,
         calibration: Calibration | None,
     ) -> tuple[Integers, Floats, list[Reason]]:
-        """Give (peak,) stripe or UNCODED or AMBIGUOUS, (peak,) margin, and what to say of it."""
+        """Give (peak,) stripe or UNLABELLED or AMBIGUOUS, (peak,) margin, and what to say of it."""
         line = rest.line
         belt = belt_of(peaks, fragment, fragments, line, rest.x_px.shape[0])
         refuse_bare_lines(belt.live.size > 0, rest.x_px.shape[0])
@@ -211,7 +211,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
                 "that is noise, not stripes",
                 hint="raise the extractor's threshold",
             )
-        number = np.full(fragments, UNCODED, np.int64)
+        number = np.full(fragments, UNLABELLED, np.int64)
         number[big[np.argsort(place[big])]] = np.arange(big.size)
         return unknown_rest_lines(big.size, peaks), number[fragment], np.full(len(peaks), np.nan)
 
@@ -225,7 +225,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         high_px: Floats,
         light: int,
     ) -> tuple[Integers, Floats]:
-        """From the belt to all that order decides: (segment,) live stripe, UNCODED or AMBIGUOUS; margin."""
+        """From the belt to what order decides: (segment,) live stripe, UNLABELLED or AMBIGUOUS; margin."""
         used = np.where(noise[belt.segment], -1, belt.segment)
         label = belt.known
         margin = np.where(belt.anchored, 1.0, np.nan)
@@ -241,7 +241,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
                 break
             label = found
         margin[label < 0] = np.nan
-        return np.where(noise, UNCODED, np.where(label >= 0, label, AMBIGUOUS)), margin
+        return np.where(noise, UNLABELLED, np.where(label >= 0, label, AMBIGUOUS)), margin
 
 
 def _light_side(calibration: Calibration | None) -> int:
@@ -408,22 +408,22 @@ def drop_doubles(peaks: Peaks, stripe: Integers, line: Integers, segment_rows: I
     peaks
         The frame's peaks.
     stripe
-        (peak,) stripe, `UNCODED` or `AMBIGUOUS`.
+        (peak,) stripe, `UNLABELLED` or `AMBIGUOUS`.
     line
         (peak,) rest line each peak lies on, −1 for none.
     segment_rows
         (peak,) length of the segment each peak is of, rows.
     """
-    coded = np.flatnonzero(stripe >= 0)
-    cell = peaks.row[coded] * (int(stripe.max(initial=0)) + 1) + stripe[coded]
-    order = np.lexsort((-segment_rows[coded], cell))
-    sorted_cell, sorted_peak = cell[order], coded[order]
+    labelled = np.flatnonzero(stripe >= 0)
+    cell = peaks.row[labelled] * (int(stripe.max(initial=0)) + 1) + stripe[labelled]
+    order = np.lexsort((-segment_rows[labelled], cell))
+    sorted_cell, sorted_peak = cell[order], labelled[order]
     result = stripe.copy()
     for k in np.flatnonzero(sorted_cell[1:] == sorted_cell[:-1]):
         longer, shorter = sorted_peak[k], sorted_peak[k + 1]
         if (line[longer] == stripe[longer]) != (line[shorter] == stripe[shorter]):
             darker = shorter if peaks.amplitude[shorter] <= peaks.amplitude[longer] else longer
-            result[darker] = UNCODED
+            result[darker] = UNLABELLED
             continue
         result[shorter] = AMBIGUOUS
         if segment_rows[longer] < _CLEARLY_LONGER * segment_rows[shorter]:
@@ -433,7 +433,7 @@ def drop_doubles(peaks: Peaks, stripe: Integers, line: Integers, segment_rows: I
 
 _LITERAL = Reason(
     "literal-coding",
-    "coded the paper's way, by interruption and order: a hidden body shifts codes without notice",
+    "labelled the paper's way, by interruption and order: a hidden body shifts codes without notice",
 )
 _NO_BELT = Reason(
     "no-belt",
@@ -518,10 +518,10 @@ def literal_codes(
     Returns
     -------
     tuple
-        (peak,) stripe or `UNCODED`, and (peak,) NaN: this way of coding has no margin.
+        (peak,) stripe or `UNLABELLED`, and (peak,) NaN: this way of coding has no margin.
     """
     stripes, rows = rest_px.shape
-    stripe = np.full(len(peaks), UNCODED, np.int64)
+    stripe = np.full(len(peaks), UNLABELLED, np.int64)
     fragment, _ = trace_fragments(peaks.row_start, peaks.x_px, (belt_window_px - 1) / 2)
     present = np.flatnonzero(np.diff(peaks.row_start))
     first, last = present[0], present[-1]
@@ -530,11 +530,11 @@ def literal_codes(
     for number, line in enumerate(top[:stripes]):
         stripe[fragment == line] = number
     for number, line in enumerate(bottom[:stripes]):
-        stripe[(fragment == line) & (stripe == UNCODED)] = number
+        stripe[(fragment == line) & (stripe == UNLABELLED)] = number
     whole = set(top[:stripes]) & set(bottom[:stripes])
     interrupted = [number for number, line in enumerate(top[:stripes]) if line not in whole]
 
-    left = np.flatnonzero(stripe == UNCODED)
+    left = np.flatnonzero(stripe == UNLABELLED)
     start = np.searchsorted(peaks.row[left], np.arange(rows + 1))
     body, bodies = trace_fragments(start, peaks.x_px[left], body_window_px / 2)
     areas = [np.flatnonzero(body == number) for number in range(bodies)]

@@ -64,7 +64,7 @@ def _finding(
         used=not why or used is not None,
         said="; ".join(said),
         why=why,
-        marks_px=_NOBODY if view is None else view.marks.xy_px,
+        corners_px=_NOBODY if view is None else view.marks.xy_px,
         points_px=points,
     )
 

@@ -180,11 +180,11 @@ def _of_marks(joined: Joint, *, scale_is_known: bool) -> tuple[dict[str, float],
     if coverage < _COVERAGE_MIN:
         notes.append(f"board corners cover {coverage:.0%} of the image: elsewhere the lens is extrapolated")
     figures = {
-        "marks_rms_px": rms_px,
-        "marks_std_px": adjusted.corner_std_px,
-        "marks_left_out": float(1.0 - adjusted.corner_used.mean()),
-        "marks_systematic_px": systematic_px,
-        "marks_coverage": coverage,
+        "corners_rms_px": rms_px,
+        "corners_std_px": adjusted.corner_std_px,
+        "corners_left_out": float(1.0 - adjusted.corner_used.mean()),
+        "corners_systematic_px": systematic_px,
+        "corners_coverage": coverage,
     }
     return figures | shape, notes
 
@@ -556,17 +556,18 @@ def _residuals(joined: Joint, held: CrossValidation) -> tuple[Residuals, ...]:
 def _figures(joined: Joint, held: CrossValidation, calibration: Calibration) -> dict[str, EvidenceFigure]:
     adjusted, residuals = joined.adjusted, calibration.residuals
     found = {}
-    if "marks_coverage" in residuals:
+    covered = residuals.get("corners_coverage", residuals.get("marks_coverage"))  # of older files
+    if covered is not None:
         found["coverage"] = EvidenceFigure(
             "part of the image without board corners",
-            1.0 - residuals["marks_coverage"],
+            1.0 - covered,
             "1",
             "6 × 6 cells",
             1.0 - _COVERAGE_TOLD_MIN,
         )
     if held.mark_px.size:
         rms = _rms(adjusted.corner_px[adjusted.corner_used])
-        found["marks"] = EvidenceFigure(
+        found["corners"] = EvidenceFigure(
             "board corners of held-out views over those used, rms",
             _robust_rms(held.mark_px) / max(rms, 1e-12),
             "1",
@@ -638,9 +639,9 @@ def _verdict(
         )
     else:
         words.append("No view can be spared: there is no check on held-out views. Take more poses.")
-    if "marks" in over:
+    if "corners" in over:
         words.append(
-            f"Held-out views fit {figures['marks'].value:.1f} times worse than those it was made from: "
+            f"Held-out views fit {figures['corners'].value:.1f} times worse than those it was made from: "
             "too few poses for this lens model, or poses too much alike."
         )
     if "bias" in over:

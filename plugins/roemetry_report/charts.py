@@ -42,15 +42,19 @@ def slice_chart(volume: Volume) -> Markup | None:
         part for tick in ticks for part in _rule(_LEFT, _WIDTH - _RIGHT, up(tick), plain(tick, decimals))
     ]
     x = _LEFT
-    for stripe, a, s, w in zip(volume.slice_stripe[order].tolist(), area, spacing, wide, strict=True):
+    usual = total * across / wide.size
+    every = 1 if usual >= 17 else math.ceil(34 / usual)  # narrower bars leave no room for all figures
+    slices = zip(volume.slice_stripe[order].tolist(), area, spacing, wide, strict=True)
+    for k, (stripe, a, s, w) in enumerate(slices):
         width, top = float(w) * across, up(float(np.nan_to_num(a)))
         title = f"Stripe {stripe + 1}: {plain(float(a), 1)} mm², held over {plain(float(s), 2)} mm"
         colour = palette.stripe_colour_on_paper(stripe)
         parts.append(svg.box(x + 0.75, top, max(width - 1.5, 0.5), floor - top, "bar", title, colour))
-        if width >= 17:  # narrower bars leave no room for figures
-            middle = x + width / 2
+        middle = x + width / 2
+        if width >= 17:
+            parts.append(svg.text(middle, top - 4, plain(float(a), 0), "value"))
+        if width >= 17 or (every > 1 and k % every == every // 2):
             parts += [
-                svg.text(middle, top - 4, plain(float(a), 0), "value"),
                 svg.text(middle, floor + 14, str(stripe + 1), "tick strong"),
                 svg.text(middle, floor + 27, plain(float(s), 1), "tick"),
             ]

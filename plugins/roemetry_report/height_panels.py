@@ -31,9 +31,11 @@ def height_panels(profiles: Profiles, key: str) -> tuple[Panel, ...]:
     heights, step = _rastered(profiles, known)
     across, along = _profiles(profiles, known)
     scan = profiles.scan
-    notes = () if scan is None else (f"{scan.placed} of {scan.lines} lines placed, {scan.lost} lost",)
+    notes = ["white: not seen"]
+    if scan is not None:
+        notes.append(f"{scan.placed} of {scan.lines} lines placed, {scan.lost} lost")
     return (
-        Panel("a", "Height map", _map(heights, step, key), notes),
+        Panel("a", "Height map", _map(heights, step, key), tuple(notes)),
         Panel("b", "Across the belt, at the highest place", _profile(across, "Y (mm)")),
         Panel("c", "Along the belt, at the highest place", _profile(along, "X (mm)")),
     )
@@ -124,13 +126,13 @@ def _profile(points: Floats, words: str) -> Markup:
     x = Axis(low, max(high, low + 1e-6), _LEFT, _WIDTH - 8.0)
     y = Axis(floor, top, _HEIGHT - _BOTTOM, _TOP)
     parts = []
-    for value in (floor, 0.5 * (floor + top), top):
+    for value, written in y.ticks(4):
         parts += [
             svg.line(_LEFT, y(value), _WIDTH - 8.0, y(value), "rule"),
-            svg.text(_LEFT - 6, y(value) + 4, plain(value, 1), "tick end"),
+            svg.text(_LEFT - 6, y(value) + 4, written, "tick end"),
         ]
-    for value in (low, 0.5 * (low + high), high):
-        parts.append(svg.text(x(value), _HEIGHT - _BOTTOM + 15, plain(value, 0), "tick"))
+    for value, written in x.ticks():
+        parts.append(svg.text(x(value), _HEIGHT - _BOTTOM + 15, written, "tick"))
     parts.append(svg.text(0.5 * _WIDTH, _HEIGHT - 4, words, "tick"))
     parts.append(svg.text(2.0, 9, "Z (mm)", "tick start"))
     breaks = np.flatnonzero(~np.isfinite(points[:, 0]))

@@ -158,10 +158,7 @@ def badness(row: Measurement) -> float:
 
 
 def _calibrated(provenance: Mapping[str, object], finite: bool) -> bool:
-    for key in ("calibration_sha256", "calibration"):
-        if key in provenance:
-            return provenance[key] is not None
-    return finite
+    return finite or any(provenance.get(key) is not None for key in ("calibration_sha256", "calibration"))
 
 
 _FULL_REASONS = 3

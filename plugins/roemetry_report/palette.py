@@ -51,7 +51,7 @@ ON_PAPER = (
 # fmt: on
 
 BELT, PEAK, OUTLINE = "#8A97A3", "#F4F7FA", "#FFFFFF"
-AMBIGUOUS, UNCODED, MARK = "#FF4D4D", "#9AA5B0", "#A9B4BE"
+AMBIGUOUS, UNLABELLED, MARK = "#FF4D4D", "#9AA5B0", "#A9B4BE"
 RISING = ("#F4F6E8", "#DCE8C2", "#BBD8A5", "#8FC495", "#5FAE8C", "#389383", "#237676", "#1D5A66", "#183F55")
 """From little to much, lightness falls evenly."""
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from roemetry.html import plots as svg
 from roemetry.html.plots import Box
-from roemetry.records import AMBIGUOUS, BELT, UNCODED, Frame, Marks, Outline, Peaks, StripeMap, Trace
+from roemetry.records import AMBIGUOUS, BELT, UNLABELLED, Frame, Marks, Outline, Peaks, StripeMap, Trace
 from roemetry.records.arrays import Flags, Floats
 from roemetry_report import palette
 from roemetry_report.words import counted
@@ -80,7 +80,7 @@ def _superimposed(base: BaseImage, trace: Trace, key: str) -> Panel:
 def _connected(
     base: BaseImage, peaks: Peaks, stripes: StripeMap, outlines: tuple[Outline, ...], key: str
 ) -> Panel:
-    ambiguous, uncoded = stripes.peak_stripe == AMBIGUOUS, stripes.peak_stripe == UNCODED
+    ambiguous, unlabelled = stripes.peak_stripe == AMBIGUOUS, stripes.peak_stripe == UNLABELLED
     arm = max(base.columns, base.rows) / 220
     body = [
         Markup('<g id="{}-curves">{}</g>').format(key, curves(stripes)),
@@ -89,17 +89,17 @@ def _connected(
             for outline in outlines
             if len(outline.xy_px) > 2
         ),
-        *_marks(peaks, uncoded, "uncoded", svg.crosses, arm),
+        *_marks(peaks, unlabelled, "unlabelled", svg.crosses, arm),
         *_marks(peaks, ambiguous, "ambiguous", svg.diamonds, 1.4 * arm),
         *_numbers(stripes, base),
         *_product_numbers(stripes, base),
     ]
     label = (
         f"Curves of {stripes.stripe_count} stripes after connection; {int(ambiguous.sum())} ambiguous and "
-        f"{int(uncoded.sum())} unlabelled peaks"
+        f"{int(unlabelled.sum())} unlabelled peaks"
     )
     notes = _thinned(row_step(stripes))
-    if max(ambiguous.sum(), uncoded.sum()) > _MARKS_MAX:
+    if max(ambiguous.sum(), unlabelled.sum()) > _MARKS_MAX:
         notes = (*notes, "there are too many ambiguous or unlabelled peaks to draw all")
     return Panel("d", "Curves after connection", _screen(base, body, label), notes)
 
@@ -116,7 +116,7 @@ def _marks(
         return []
     chosen = chosen[:: -(-chosen.size // _MARKS_MAX)]
     data = shape(peaks.x_px[chosen], peaks.row[chosen].astype(np.float64), arm)
-    colour = palette.AMBIGUOUS if kind == "ambiguous" else palette.UNCODED
+    colour = palette.AMBIGUOUS if kind == "ambiguous" else palette.UNLABELLED
     return [svg.path(f"c c-{kind}", data, stroke=colour)]
 
 

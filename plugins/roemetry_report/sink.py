@@ -293,10 +293,10 @@ def _coding(row: Measurement) -> tuple[tuple[str, str], ...]:
     return (
         ("stripes seen", f"{coding.stripes_seen} of {coding.stripes}"),
         ("peaks", str(coding.peaks)),
-        ("labelled", _of(coding.coded, coding.peaks)),
+        ("labelled", _of(coding.labelled, coding.peaks)),
         ("ambiguous, on the product" if row.product else "ambiguous", _of(coding.ambiguous, coding.peaks)),
-        ("unlabelled (noise)", _of(coding.uncoded, coding.peaks)),
-        ("saturated", percent(coding.saturated_share) + (" of the labelled" if coding.coded else "")),
+        ("unlabelled (noise)", _of(coding.unlabelled, coding.peaks)),
+        ("saturated", percent(coding.saturated_share) + (" of the labelled" if coding.labelled else "")),
     )
 
 

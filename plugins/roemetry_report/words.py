@@ -7,7 +7,7 @@ import re
 
 from markupsafe import Markup, escape
 
-from roemetry.html.plots import plain
+from roemetry.html.plots import in_words, plain
 from roemetry.html.plots import share as share_of_100
 from roemetry.records import Estimate
 from roemetry.records.units import NOT_STATED
@@ -87,16 +87,12 @@ def feature(name: str, figure: float, std: float = math.nan) -> tuple[str, str]:
     text = _short(figure)
     if math.isfinite(figure) and std > 0:
         text = f"{plain(figure, _decimals(std, 2))} ± {plain(std, _decimals(std, 2))}"
-    for ending, unit in _UNITS.items():
-        if name.endswith(ending):
-            return f"{name.removesuffix(ending).replace('_', ' ')} ({unit})", text
-    return name.replace("_", " "), text
+    return in_words(name), text
 
 
 _LONG = 100
 """Letters of a sentence that a cell of the table holds in three lines."""
 _JOINTS = re.compile(r"(?<=\w[_/.-])(?=\w)|(?=#)")
-_UNITS = {"_per_mm": "1/mm", "_px": "px", "_mm3": "mm³", "_mm2": "mm²", "_mm": "mm", "_g": "g", "_deg": "°"}
 
 
 def _short(figure: float) -> str:

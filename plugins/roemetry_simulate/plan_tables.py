@@ -71,7 +71,7 @@ class Space:
 
     @cached_property
     def spacing_heights_mm(self) -> Floats:
-        """Height of one spacing's displacement for each stripe, shape (N,)."""
+        """Unambiguous height of each stripe, mm, shape (N,)."""
         return spacing_heights_mm(self.rig.camera, self.rig.laser, self.y_mm)
 
     @property
@@ -87,7 +87,7 @@ class Space:
 
     @cached_property
     def top_mm(self) -> float:
-        """Height up to which the plan is made: the highest product's, else 2½ spacing heights; in view."""
+        """Height up to which the plan is made: the highest product's, or 2½ unambiguous heights; in view."""
         wanted = _SPACINGS * self.spacing_height_mm if math.isnan(self.product_mm) else self.product_mm
         return float(np.fmin(np.nanmax(self.in_view_mm), wanted))
 

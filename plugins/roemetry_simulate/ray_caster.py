@@ -16,7 +16,7 @@ from roemetry.records import Sensor as Noise
 from roemetry.stages import Simulator, Turn
 from roemetry_simulate.population import Group, draw_item
 from roemetry_simulate.products import Drawn
-from roemetry_simulate.render import DRAFT_SAMPLES, Rig, as_stored, render
+from roemetry_simulate.render import Rig, as_stored, render
 from roemetry_simulate.scene import RayCasterOptions, contaminate, rig_of, surface_of
 from roemetry_simulate.solid import Solid
 from roemetry_simulate.targets import calibration_truth_of, take_target
@@ -57,11 +57,8 @@ class RayCaster(Simulator[RayCasterOptions]):
             rig = self._rig if role != "dark" else replace(self._rig, laser=dimmed(self._rig))
             # a dark image has a noise of its own
             noise_seed = lying.seed if role != "dark" else lying.seed + 2**32
-            plain, draft = role == "plain", self.options.draft
-            # the shadows of single lamps would be edges: a draft's plain light has fewer lamps, not one a ray
-            samples = DRAFT_SAMPLES if draft and plain else self.options.samples
-            given: Any = {"samples": samples, "draft": draft and not plain}
-            pixels = render(rig, solid, surface, seed=noise_seed, plain=plain, **given)
+            given: Any = {"samples": self.options.samples, "draft": self.options.draft}
+            pixels = render(rig, solid, surface, seed=noise_seed, plain=role == "plain", **given)
             frames.append(self._frame(pixels, role, number))
         products = tuple(
             _truth_of(one, lying.seed, _only(crossings, stripes.product == place))

@@ -108,7 +108,7 @@ def laser_light(
     if draft:
         _light(rig, solid, surface, 1, image)
         grey = image @ np.array([1.0, rig.ambient_grey, rig.stray_grey])
-        _light(rig, solid, surface, DRAFT_SAMPLES, image, _uneven(grey))
+        _light(rig, solid, surface, _DRAFT_SAMPLES, image, _uneven(grey))
     else:
         _light(rig, solid, surface, samples, image)
     return image[..., 0], rig.ambient_grey * image[..., 1] + rig.stray_grey * image[..., 2]
@@ -137,17 +137,18 @@ def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4, *, d
     """Light of an image under the plain light, grey levels, without noise, blur, black level or clipping.
 
     Each sample of a pixel sees another lamp of the ring, and the four pixels of a square see the lamps
-    between. A draft's single ray sees one lamp of four; the mean of neighbours sees all of them.
+    between. A draft's single ray sees one lamp of sixteen; the mean of neighbours sees all of them.
     """
     camera = rig.camera
     image = np.zeros((camera.height_px, camera.width_px))
     if draft:
-        _under_lamps(rig, solid, surface, 1, image)
-        from scipy.ndimage import convolve1d
+        _under_lamps(rig, solid, surface, 1, image, square=4)
+        from scipy.ndimage import convolve1d, maximum_filter
 
-        for axis in (0, 1):  # takes out what alternates from pixel to pixel, and keeps what is even
-            image = convolve1d(image, [0.25, 0.5, 0.25], axis, mode="mirror")
-        _under_lamps(rig, solid, surface, DRAFT_SAMPLES, image, _uneven(rig.plain_grey * image))
+        for axis in (0, 1):  # takes out what alternates over four pixels, and keeps what is even
+            image = convolve1d(image, [0.125, 0.25, 0.25, 0.25, 0.125], axis, mode="mirror")
+        uneven = maximum_filter(_uneven(rig.plain_grey * image), 3)  # an edge's middle has no bend
+        _under_lamps(rig, solid, surface, _DRAFT_SAMPLES, image, uneven)
     else:
         _under_lamps(rig, solid, surface, samples, image)
     if rig.stray_mm is None:
@@ -159,11 +160,15 @@ def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4, *, d
 
 
 def _under_lamps(
-    rig: Rig, solid: Solid, surface: Surface, samples: int, image: Floats, where: Flags | None = None
-) -> None:
-    """Write the light of the ring of lamps into the pixels of `where`, shape (height, width)."""
+    rig: Rig, solid: Solid, surface: Surface, samples: int, image: Floats, where: Flags | None = None,
+    *, square: int = 2,
+) -> None:  # fmt: skip
+    """Write the light of the ring of lamps into the pixels of `where`, shape (height, width).
+
+    `square` is the side, px, of the squares within which each pixel sees other lamps.
+    """
     camera = rig.camera
-    count = 4 * samples * samples
+    count = square**2 * samples * samples
     angle = 2.0 * np.pi * np.arange(count) / count
     lamps = np.column_stack(
         [
@@ -174,7 +179,7 @@ def _under_lamps(
     )
     # neighbouring samples see lamps far apart, so that a pixel's sub-areas are lit alike
     order = (np.arange(samples * samples) * 7) % (samples * samples)
-    lamps = np.ascontiguousarray(lamps.reshape(samples * samples, 4, 3)[order])
+    lamps = np.ascontiguousarray(lamps.reshape(samples * samples, square**2, 3)[order])
     _render_plain(
         solid.body(), camera.packed(), camera.rotation, lamps, _maps(surface), surface.texture,
         _albedo(surface, surface.plain_albedo), *surface.picture_in("plain"),
@@ -182,7 +187,7 @@ def _under_lamps(
     )  # fmt: skip
 
 
-DRAFT_SAMPLES = 2
+_DRAFT_SAMPLES = 2
 """Along each side of an uneven pixel in a draft: an edge is right to half a pixel, and the lens blurs it."""
 _BEND_GREY = 6.0
 """Sum of second differences, grey levels, above which one ray is not enough for a pixel: the mean over a
@@ -347,6 +352,7 @@ def _render_plain(
     share = 1.0 / (samples * samples)
     first = lamps[0, 0]
     level = first[2] / math.sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
+    square = round(math.sqrt(lamps.shape[1]))
     for row in range(where.shape[0]):
         for column in range(where.shape[1]):
             if not where[row, column]:
@@ -365,7 +371,7 @@ def _render_plain(
                     normal_at(body, on, point, normal)
                     if picture.size > 1:
                         grey *= picture_at(picture, picture_from, point)
-                lamp = lamps[k, 2 * (row % 2) + column % 2]
+                lamp = lamps[k, square * (row % square) + column % square]
                 cosine = sees_in(body, reach, point, normal, lamp, beam, scratch)
                 light = 0.25 * (0.5 + 0.5 * normal[2]) * grey
                 if cosine > 0.0:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from roemetry.errors import ConfigurationError, DataError
+from roemetry.html.plots import in_words
 from roemetry.run.control_chart import BASELINE, limits_of, signals
 from roemetry.run.record import PROVENANCE, read_record
 from roemetry_study.certificate import Certificate, Table, hashed
@@ -230,7 +231,7 @@ def of_calibration(path: Path, environment: str) -> Certificate:
             rows.append(
                 (float(height), float(np.median(known)), float(known.max()), 2.0 * float(known.max()))
             )
-    residuals = tuple((name, float(value)) for name, value in calibration.residuals.items())
+    residuals = tuple((in_words(name), float(value)) for name, value in calibration.residuals.items())
     low, high = calibration.height_range_mm
     worst = max((row[2] for row in rows), default=math.nan)
     statements = [
@@ -252,7 +253,7 @@ def of_calibration(path: Path, environment: str) -> Certificate:
         items=items,
         tables=(
             Table("Uncertainty of heights, the calibration's part", head, tuple(rows)),
-            Table("Residuals", ("figure, unit in its name", "value"), residuals),
+            Table("Residuals", ("figure", "value"), residuals),
         ),
         decision_rule="usable where the calibrator's own checks and held-out boards pass",
         coverage="U is for k = 2, about 95 %",

@@ -136,7 +136,7 @@ def _refuse_cloven(deep: int, slices: int) -> None:
     if deep >= slices / 3.0:
         raise StageError(
             f"on {deep} of {slices} stripes the surface falls by over {CLEFT_SHARE:.0%} between two humps: "
-            "two products side by side, coded as one, have no volume in common",
+            "two products side by side, labelled as one, have no volume in common",
             hint="keep products apart on the belt",
         )
 

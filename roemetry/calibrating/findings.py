@@ -84,7 +84,7 @@ def picture_of(one: ImageFinding) -> str:
     peaks = one.observation.peaks
     _dots(canvas, np.column_stack([peaks.x_px, peaks.row]) * scale, _COLOURS["peaks"])
     _dots(canvas, one.points_px * scale, _COLOURS["points"])
-    for x, y in np.rint(one.marks_px * scale).astype(int):
+    for x, y in np.rint(one.corners_px * scale).astype(int):
         cv2.drawMarker(canvas, (int(x), int(y)), _COLOURS["marks"], cv2.MARKER_CROSS, 7, 1)
     coded: NDArray[Any] = cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, 82])[1]
     return "data:image/jpeg;base64," + base64.b64encode(coded.tobytes()).decode("ascii")

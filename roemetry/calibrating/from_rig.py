@@ -45,7 +45,11 @@ def calibrate(rig: Rig, *, registry: Registry | None = None) -> Calibration:
     DataError
         An image cannot be read.
     """
-    return calibrate_with_evidence(rig, registry=registry)[0]
+    registry = registry or discover()
+    if (base := base_of(rig)) is not None:
+        return with_motion(rig, base, registry)
+    calibration = _calibrated(rig, rig.calibrator.make(), *observe(rig, registry))
+    return calibration if rig.file.scan is None else with_motion(rig, calibration, registry)
 
 
 def calibrate_with_evidence(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-from roemetry.html.plots import plain, share
+from roemetry.html.plots import in_words, plain, share
 
 
 def environment_of(package: str) -> Environment:
@@ -21,5 +21,5 @@ def environment_of(package: str) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"plain": plain, "share": share, "zip": zip}
+    environment.filters |= {"plain": plain, "share": share, "zip": zip, "in_words": in_words}
     return environment

@@ -225,6 +225,17 @@ class Axis:
         return parts
 
 
+def in_words(name: str) -> str:
+    """Write a figure's name for people: ``length_mm`` is "length (mm)"."""
+    for ending, unit in _UNITS.items():
+        if name.endswith(ending):
+            return f"{name.removesuffix(ending).replace('_', ' ')} ({unit})"
+    return name.replace("_", " ")
+
+
+_UNITS = {"_per_mm": "1/mm", "_px": "px", "_mm3": "mm³", "_mm2": "mm²", "_mm": "mm", "_g": "g", "_deg": "°"}
+
+
 def plain(value: float | None, digits: int = 1, sign: bool = False) -> str:
     """Write a number for people; what is not known is a dash."""
     if value is None or not math.isfinite(value):

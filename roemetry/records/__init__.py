@@ -55,7 +55,7 @@ from roemetry.records.stripes import (
     EDGE,
     NOTHING,
     SATURATED,
-    UNCODED,
+    UNLABELLED,
     WIDE,
     Peaks,
     StripeMap,

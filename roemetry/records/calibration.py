@@ -116,7 +116,7 @@ class Calibration(Shown):
 
         `view_of` gives the view of drawn parameters (`Triangulator.view` of the method's triangulator).
         Without it a drawn calibration has no view, for this one's would belong to other parameters. `rest_px`
-        and `displacement_px_per_mm`, by which frames are coded, stay as they are.
+        and `displacement_px_per_mm`, by which frames are labelled, stay as they are.
         """
         steps = self.independent_steps()
         while True:

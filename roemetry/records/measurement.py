@@ -29,16 +29,16 @@ _ORDER = (
 
 @dataclass(frozen=True, slots=True)
 class Coding:
-    """How well the stripes of the acquisition were found and coded."""
+    """How well the stripes of the acquisition were found and labelled."""
 
     stripes: int
     stripes_seen: int
     """Number of stripes with at least one peak."""
     peaks: int
-    coded: int
+    labelled: int
     ambiguous: int
-    uncoded: int
-    """peaks, coded, ambiguous, uncoded: peaks extracted; of them with a stripe; with several possible
+    unlabelled: int
+    """peaks, labelled, ambiguous, unlabelled: peaks extracted; of them with a stripe; with several possible
     stripes; with none."""
     rows_seen: int
     rows_interpolated: int
@@ -63,7 +63,7 @@ class Measurement(Shown):
     """acquisition, product: id of the acquisition; number of the product, 0 for none."""
     status: Status
     """``measured``: what the recipe asked for is there, or stands in `absent` with a reason. ``empty``: the
-    image was read and coded, and shows no product. ``failed``: it could not be measured."""
+    image was read and labelled, and shows no product. ``failed``: it could not be measured."""
     products: int = 1
     """Number of rows this acquisition has in the record."""
     coding: Coding | None = None
@@ -119,9 +119,11 @@ class Measurement(Shown):
 
     @classmethod
     def from_json(cls, line: str) -> Measurement:
-        """Read a line that `to_json` wrote; null is read as NaN. Marks are not stored and come back None."""
+        """Read a line that `to_json` wrote, or an older version; marks are not stored and come back None."""
         try:
             row = _parsed(line)
+            if row["coding"] is not None:
+                row["coding"] = {_RENAMED.get(name, name): one for name, one in row["coding"].items()}
             if row["volume"] is not None:
                 slices = row["volume"].pop("slices")
                 row["volume"] |= {
@@ -138,6 +140,8 @@ class Measurement(Shown):
 
 
 _SLICE = ("stripe", "area_mm2", "spacing_mm")
+_RENAMED = {"coded": "labelled", "uncoded": "unlabelled"}
+"""Fields of `Coding` by the names they had in older records, which can still be read."""
 _NOT_KEPT = ("marks", "relief", "solution")
 """What of a grade is drawn, and what an estimator goes on from."""
 

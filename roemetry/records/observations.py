@@ -176,7 +176,7 @@ class ImageFinding(Shown):
     """What was found, and how well it fits; "" where nothing was."""
     why: str
     """Why it is not used, or not wholly, and what to do; "" where it is."""
-    marks_px: Floats
+    corners_px: Floats
     """(mark, 2) marks of a board."""
     points_px: Floats
     """(point, 2) points of stripes that count; means over a few rows where there are many."""

@@ -78,7 +78,7 @@ class Peaks(Shown):
 BELT = 0
 NOTHING = -1
 
-UNCODED = -1
+UNLABELLED = -1
 AMBIGUOUS = -2
 
 
@@ -103,7 +103,7 @@ class StripeMap(Shown):
     rest_px: Floats
     """(stripe, row) where the stripe would lie on the bare belt, px; NaN where no rest line is known."""
     peak_stripe: Labels
-    """(peak,) stripe of each peak of the `Peaks` this was made from; `UNCODED` (−1) for what is no stripe,
+    """(peak,) stripe of each peak of the `Peaks` this was made from; `UNLABELLED` (−1) for what is no stripe,
     `AMBIGUOUS` (−2) for what may be several."""
     reasons: tuple[Reason, ...] = ()
     correlation_rows: float = 0.0

@@ -14,7 +14,7 @@ from roemetry.records import (
     BELT,
     NOTHING,
     SATURATED,
-    UNCODED,
+    UNLABELLED,
     Coding,
     Estimate,
     Measurement,
@@ -111,7 +111,7 @@ def _calibrated(
 def _in_pixels(
     trace: Trace, stripes: StripeMap, warnings: tuple[Reason, ...], hashes: Mapping[str, str]
 ) -> tuple[Measurement, ...]:
-    """Rows of a trace with products that was coded and not triangulated."""
+    """Rows of a trace with products that was labelled and not triangulated."""
     numbers = [int(number) for number in np.unique(stripes.product) if number > 0]
     fault = trace.absent.get("triangulator")
     faults = [] if fault is None or fault == UNCALIBRATED else [fault]
@@ -168,9 +168,9 @@ def _coding(trace: Trace, number: int) -> Coding | None:
         stripes=stripes.stripe_count,
         stripes_seen=int(np.count_nonzero(of_stripe)),
         peaks=len(peaks),
-        coded=int(of_stripe.sum()),
+        labelled=int(of_stripe.sum()),
         ambiguous=_open_points(trace, peaks, stripes, number) if number else int(verdicts[0]),
-        uncoded=int(verdicts[UNCODED - AMBIGUOUS]),
+        unlabelled=int(verdicts[UNLABELLED - AMBIGUOUS]),
         rows_seen=int(seen),
         rows_interpolated=int(rows - seen),
         saturated_share=_saturated_share(peaks, stripes),
@@ -186,9 +186,9 @@ def _displacement_max(stripes: StripeMap, mine: np.ndarray) -> float:
 
 
 def _saturated_share(peaks: Peaks, stripes: StripeMap) -> float:
-    coded = stripes.peak_stripe >= 0
-    many = np.count_nonzero(coded)
-    return np.count_nonzero((peaks.flags & SATURATED > 0) & coded) / many if many else math.nan
+    labelled = stripes.peak_stripe >= 0
+    many = np.count_nonzero(labelled)
+    return np.count_nonzero((peaks.flags & SATURATED > 0) & labelled) / many if many else math.nan
 
 
 def _saturation(coding: Coding | None) -> list[Reason]:
@@ -212,7 +212,7 @@ def _warnings(recipe: Recipe) -> tuple[Reason, ...]:
     """What must be said of every number of this recipe."""
     calibration = recipe.calibration
     if calibration is None:
-        return (UNCALIBRATED,)
+        return (UNCALIBRATED,) if "extractor" in recipe.stages else ()  # slices of a sensor are in mm
     light = recipe.penetration
     if light is not None and light.calibration_sha256 != calibration.sha256:
         return (

@@ -118,11 +118,11 @@ def simulate(
     with exclusive(folder), DatasetWriter(folder, told) as writer:
         _keep_scene(scene, folder)
         names = [scene.file.item.format(number=number + 1) for number in range(count)]
+        tasks: list[_Task] = [number for number, name in enumerate(names) if name not in writer.done]
         # the kinds with most images first: the time left is then told by what most of them take
         alike = Counter(view.kind for view in views)
         ordered = sorted(views, key=lambda view: -alike[view.kind])
-        tasks: list[_Task] = [view for view in ordered if not (folder / view.path).exists()]
-        tasks += [number for number, name in enumerate(names) if name not in writer.done]
+        tasks += [view for view in ordered if not (folder / view.path).exists()]
         kept = sum(name in writer.done for name in names)
         total = len(views) + count
         done = total - len(tasks)

@@ -236,6 +236,6 @@ def in_steps(light: Floats, step: int) -> Floats:
 
 
 def wrong_labels(stripe: NDArray[np.integer], truth: Integers) -> Flags:
-    """Say which coded peaks carry another stripe than the one that made them; refused ones do not."""
+    """Say which labelled peaks carry another stripe than the one that made them; refused ones do not."""
     wrong: Flags = (stripe >= 0) & (stripe != truth)
     return wrong

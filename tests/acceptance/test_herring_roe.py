@@ -46,7 +46,7 @@ def wrong_points(trace: Trace, x_px: np.ndarray) -> np.ndarray:
     return (off.min(axis=1) <= 3.0) & (off.argmin(axis=1) != own)
 
 
-def test_no_point_is_coded_wrong_and_99_of_100_visible_ones_are_coded(
+def test_no_point_is_labelled_wrong_and_99_of_100_visible_ones_are_labelled(
     traces: dict[str, Trace], truth: dict[str, Truth]
 ) -> None:
     visible_points, right_points = 0, 0

@@ -138,6 +138,14 @@ def test_a_measurement_comes_back_from_its_line(data: st.DataObject) -> None:
     assert Measurement.from_json(line).to_json() == line
 
 
+def test_a_line_of_an_older_version_can_be_read() -> None:
+    coding = Coding(11, 11, 100, labelled=90, ambiguous=4, unlabelled=6, rows_seen=80, rows_interpolated=3)
+    line = Measurement("a#1", "a", 1, "measured", coding=coding).to_json()
+    older = line.replace('"labelled"', '"coded"').replace('"unlabelled"', '"uncoded"')
+    assert older != line
+    assert Measurement.from_json(older).coding == coding
+
+
 @pytest.mark.parametrize("line", ["", "{}", "[1]", '{"id": 3}', "nonsense"])
 def test_a_line_that_is_no_measurement(line: str) -> None:
     with pytest.raises(DataError, match="not a measurement"):

@@ -278,7 +278,9 @@ CAUGHT = {
     "check_memory_layout_does_not_matter": given_another(as_if_contiguous),
     "check_a_colour_frame_is_refused": given_another(one_channel),
     "check_a_missing_stripe_shifts_nothing": spoilt(WindowTracking, shifts_labels),
-    "check_coded_points_are_peaks": spoilt(WindowTracking, lambda s, *_: replace(s, x_px=np.round(s.x_px))),
+    "check_labelled_points_are_peaks": spoilt(
+        WindowTracking, lambda s, *_: replace(s, x_px=np.round(s.x_px))
+    ),
     "check_gaps_shift_nothing": spoilt(  # what it refuses is the first one's
         WindowTracking,
         lambda s, *_: replace(s, peak_stripe=np.where(s.peak_stripe == AMBIGUOUS, 0, s.peak_stripe)),

@@ -46,7 +46,7 @@ _AT_BOUND_SHARE_MAX = 0.02
 """So many body points may lie next to the bound before it is raised: false peaks do."""
 _LIVE_PEAKS_MIN = 15
 """A stripe with fewer labels is named as missing: bodies cross its rest line in as many rows."""
-_CODED_SHARE_MIN = 0.4
+_LABELLED_SHARE_MIN = 0.4
 """With fewer peaks on any possible surface, image and calibration do not belong together."""
 _OUTER_SHARE = 0.1
 """Share of the rows, at the image's top and bottom, where belt is expected."""
@@ -106,10 +106,10 @@ class Planes(Coder[PlanesOptions]):
             self.options.margin_min,
             self.options.longest_gap_rows,
         )
-        coded = (stripe >= 0).mean()
-        if coded < _CODED_SHARE_MIN:
+        labelled = (stripe >= 0).mean()
+        if labelled < _LABELLED_SHARE_MIN:
             raise StageError(
-                f"only {coded:.0%} of the peaks lie on a surface that can be: either they are noise, or "
+                f"only {labelled:.0%} of the peaks lie on a surface that can be: either they are noise, or "
                 "calibration and image do not belong together",
                 hint="look at the image; was it turned, or the camera moved?",
             )

@@ -130,17 +130,17 @@ def claimed(pieces: Pieces, stripe: Integers, stripes: int) -> Integers:
     stripes
         Number of stripes.
     """
-    coded = stripe >= 0
-    votes = np.bincount(pieces.of[coded] * stripes + stripe[coded], minlength=pieces.rest.size * stripes)
+    given = stripe >= 0
+    votes = np.bincount(pieces.of[given] * stripes + stripe[given], minlength=pieces.rest.size * stripes)
     votes = votes.reshape(-1, stripes)
     enough = (votes.max(axis=1) >= _CLAIM_PEAKS) & (pieces.rest != ENDS)
     claim = np.where(enough, votes.argmax(axis=1), -1)
-    return np.where(coded, stripe, claim[pieces.of])
+    return np.where(given, stripe, claim[pieces.of])
 
 
 @kernel
 def out_of_order(entries: Entries, row: Integers, on_line: Integers, stripe: Integers, stripes: int) -> Flags:
-    """Mark coded peaks that stand out of order on an epipolar line, or share a stripe with another in a row.
+    """Mark labelled peaks that are out of order on an epipolar line, or share a row and a stripe.
 
     A stripe may be seen twice in a row, on the belt and, displaced, on the product; there is place for one,
     so the belt's is marked.
@@ -329,7 +329,7 @@ _PATTERN_MIN_PX = 0.3
 
 
 def left_over(piece: Integers, stripe: Integers, kept: Integers, share_min: float) -> Flags:
-    """Mark coded peaks of pieces of which most others were refused: the doubt is the whole piece's.
+    """Mark labelled peaks of pieces of which most others were refused: the doubt is the whole piece's.
 
     Parameters
     ----------

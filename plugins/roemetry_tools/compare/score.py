@@ -85,7 +85,7 @@ def score(
         if coded is not None and coded.stripe_count != stripes.x_px.shape[0]:
             without["coding"] = Reason(
                 "other-stripes",
-                f"{coded.stripe_count} stripes are coded for, the truth counts {stripes.x_px.shape[0]}",
+                f"{coded.stripe_count} stripes are labelled, the truth counts {stripes.x_px.shape[0]}",
             )
         elif coded is not None:
             key = ("coding", keys["coder"])

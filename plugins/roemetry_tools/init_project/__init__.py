@@ -11,7 +11,7 @@ import re
 import shutil
 import unicodedata
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from roemetry_tools.init_project.layout import Answers, Layout, lay_out
 
 _SEED = 1  # any: the same folder each time
 _DATA = "data"
+_BOARDS = "simulating calibration images"
 
 
 Step = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
@@ -97,12 +98,18 @@ def start_own(
     _check_empty(folder)
     with _all_or_nothing(folder):
         written = _write(folder, texts_of(answers, layout, items))
-        with step("simulating products") as shown:
-            _simulate(folder, items, "none", jobs, shown)
-        if items:
-            tell(f"to look at already: {folder / _DATA / 'images'}")
-        with step("simulating calibration images") as shown:
-            _simulate(folder, items, "charuco", jobs, lambda done, of: shown(done - items, of - items))
+        with ExitStack() as bar:
+            shown = bar.enter_context(step("simulating products" if items else _BOARDS))
+
+            def on_progress(done: int, of: int) -> None:
+                nonlocal shown
+                if done == items > 0:
+                    bar.close()
+                    tell(f"to look at already: {folder / _DATA / 'images'}")
+                    shown = bar.enter_context(step(_BOARDS))
+                shown(*((done, items) if done < items else (done - items, of - items)))
+
+            _simulate(folder, items, "charuco", jobs, on_progress)
         with step("calibrating"):
             written = (*written, _calibrate(folder))
     return Started(folder, written, items, layout)
@@ -176,7 +183,7 @@ def _simulate(
     from roemetry.run.simulate import simulate
 
     given: dict[str, Any] = {"count": items, "seed": _SEED, "jobs": jobs, "calibration": views}
-    simulate(Scene.load(folder), folder / _DATA, **given, resume=True, on_progress=on_progress)
+    simulate(Scene.load(folder), folder / _DATA, **given, on_progress=on_progress)
 
 
 def _calibrate(folder: Path) -> Path:

@@ -20,7 +20,7 @@ MEASURES = ("volume", "weight", "shape")
 
 STRIPES_LEAST, STRIPES_CHOSEN_MOST, STRIPES_MOST = 5, 15, 40
 """Fewer leave a volume to its ends; more than 15 cost angle and gain little; 40 is the most that are
-coded."""
+labelled."""
 
 _SHARE_OF_SPACING = 0.7
 """Of a spacing that the greatest height displaces a stripe: the rest is for flanks seen a little aside."""

@@ -282,7 +282,7 @@ def form_of(base: Any, recipe: Recipe, registry: Registry) -> dict[str, Any]:
             {
                 "kind": kind,
                 "needs": NEEDS.get(kind, ""),
-                "required": kind not in NEEDS,
+                "required": kind not in NEEDS and kind in chosen,
                 "chosen": None
                 if kind not in chosen
                 else {"use": chosen[kind]["use"], "options": _stated(chosen[kind]["options"])},

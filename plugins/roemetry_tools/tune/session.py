@@ -1,6 +1,6 @@
 """One recipe on the bench: what the page may ask, answered without a network.
 
-An answer holds the frame as a picture, arrays to draw over it, and places that want a look: a header of JSON,
+An answer holds the frame as a picture, arrays to draw over it, and places to look at: a header of JSON,
 then arrays that a browser uses without copying them. The header's length stands first, 4 bytes,
 little-endian. The header is padded with blanks, each array with zeros, to a multiple of 8 bytes. `arrays` in
 the header says for each: its type, its shape, and where it begins, counted from the end of the header.
@@ -31,7 +31,7 @@ from roemetry.records import (
     AMBIGUOUS,
     EDGE,
     SATURATED,
-    UNCODED,
+    UNLABELLED,
     WIDE,
     Acquisition,
     AcquisitionReference,
@@ -331,7 +331,7 @@ _GAPS_TOLD = 40
 
 
 def places_of(trace: Trace, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """Fill the arrays to draw, and count the places that want a look.
+    """Fill the arrays to draw, and count the places to look at.
 
     Arrays are ``peaks.…``, ``stripes.…``, ``profiles.…`` and ``outline.N``. Of gaps the longest are told:
     stripe, first and last row, x at both ends, px, and whether they were bridged.
@@ -367,8 +367,8 @@ def _of_stripes(stripes: StripeMap, arrays: dict[str, NDArray[Any]]) -> dict[str
     arrays["peaks.stripe"] = stripes.peak_stripe
     gaps = sorted(_gaps(stripes), key=lambda gap: gap["first"] - gap["last"])
     return {
-        "coded": int(np.count_nonzero(stripes.peak_stripe >= 0)),
-        "uncoded": int(np.count_nonzero(stripes.peak_stripe == UNCODED)),
+        "labelled": int(np.count_nonzero(stripes.peak_stripe >= 0)),
+        "unlabelled": int(np.count_nonzero(stripes.peak_stripe == UNLABELLED)),
         "ambiguous": int(np.count_nonzero(stripes.peak_stripe == AMBIGUOUS)),
         "gaps": len(gaps),
         "gap_list": gaps[:_GAPS_TOLD],

@@ -21,13 +21,13 @@ from roemetry.testing.verdict import refused, require
 
 _SCATTER_PX = 0.1
 _END_ROWS = 2
-_CODED_MIN = 0.99
-"""Share of the points that must be coded where nothing makes it hard."""
+_LABELLED_MIN = 0.99
+"""Share of the points that must be labelled where nothing makes it hard."""
 _CLEAR_MM = 1.0
 """From this height on a point is off the belt beyond doubt: 2 px on this rig."""
 
 
-def check_a_dome_is_coded_whole(coder: Coder[Any]) -> None:
+def check_a_dome_is_labelled_whole(coder: Coder[Any]) -> None:
     """On a plain dome every point is labelled correctly: at least 99 % of them, and none wrong."""
     rig = LinearRig()
     coded = _coded(coder, rig, rig.dome())
@@ -35,7 +35,7 @@ def check_a_dome_is_coded_whole(coder: Coder[Any]) -> None:
     _nearly_all(coded, np.isfinite(coded.x_px), "points of a dome")
 
 
-def check_a_mirrored_rig_is_coded_alike(coder: Coder[Any]) -> None:
+def check_a_mirrored_rig_is_labelled_alike(coder: Coder[Any]) -> None:
     """With the laser on the other side the dome is labelled just as well."""
     rig = LinearRig().mirrored()
     coded = _coded(coder, rig, rig.dome())
@@ -140,7 +140,7 @@ def check_a_grazed_tail_is_product(coder: Coder[Any]) -> None:
 
 
 def check_every_peak_gets_a_verdict(coder: Coder[Any]) -> None:
-    """Every peak gets a stripe, or `UNCODED`, or `AMBIGUOUS`, and no stripe gets two peaks of one row."""
+    """Every peak gets a stripe, or `UNLABELLED`, or `AMBIGUOUS`, and no stripe gets two peaks of one row."""
     rig = LinearRig()
     coded = _coded(coder, rig, rig.dome())
     verdict = coded.map.peak_stripe
@@ -154,7 +154,7 @@ def check_every_peak_gets_a_verdict(coder: Coder[Any]) -> None:
     require(cells.shape[1] == given.sum(), "a stripe is given two peaks of one row")
 
 
-def check_coded_points_are_peaks(coder: Coder[Any]) -> None:
+def check_labelled_points_are_peaks(coder: Coder[Any]) -> None:
     """The `x_px` of every seen point is the x of a peak of its row which was given to its stripe."""
     rig = LinearRig()
     coded = _coded(coder, rig, rig.dome())
@@ -191,7 +191,7 @@ def check_another_image_size_is_refused(coder: Coder[Any]) -> None:
 
 
 class _Coded(NamedTuple):
-    """A coded scene: the map, each peak's true stripe, row and x, and the true (stripe, row) centres."""
+    """A labelled scene: the map, each peak's true stripe, row and x, and the true (stripe, row) centres."""
 
     map: StripeMap
     truth: Integers
@@ -234,7 +234,7 @@ def _none_wrong(coded: _Coded) -> None:
 def _nearly_all(coded: _Coded, wanted: Flags, what: str) -> None:
     inner = slice(_END_ROWS, -_END_ROWS)
     share = coded.map.seen[:, inner][wanted[:, inner]].mean()
-    require(share >= _CODED_MIN, f"only {share:.1%} of the {what} are labelled")
+    require(share >= _LABELLED_MIN, f"only {share:.1%} of the {what} are labelled")
 
 
 def _is_product(coded: _Coded, wanted: Flags, what: str) -> None:
@@ -242,7 +242,7 @@ def _is_product(coded: _Coded, wanted: Flags, what: str) -> None:
     share = (there > 0).mean()
     belt, nothing = (there == BELT).mean(), (there == NOTHING).mean()
     require(
-        share >= _CODED_MIN,
+        share >= _LABELLED_MIN,
         f"only {share:.1%} of {what} is product; belt {belt:.1%}, unlabelled {nothing:.1%}",
     )
 

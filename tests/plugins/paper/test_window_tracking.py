@@ -30,12 +30,12 @@ def wrong_points(stripes: StripeMap, x_px: np.ndarray) -> int:
 
 
 def coded_share(stripes: StripeMap, x_px: np.ndarray) -> float:
-    """Share of the visible points that are coded; the paper's peaks leave out the first and last row."""
+    """Share of the visible points that are labelled; the paper's peaks leave out the first and last row."""
     visible = np.isfinite(x_px[:, 1:-1])
     return float((stripes.seen[:, 1:-1] & visible).sum() / visible.sum())
 
 
-def test_a_dome_is_coded_whole_without_a_calibration(rig, rng) -> None:
+def test_a_dome_is_labelled_whole_without_a_calibration(rig, rng) -> None:
     x_px = rig.x_px(rig.dome(12.0))
     stripes = WindowTracking().code(peaks_of(rig, x_px, rng), None)
     assert wrong_points(stripes, x_px) == 0

@@ -87,7 +87,7 @@ def test_a_failed_test_stands_in_the_verdict() -> None:
     observed = observed_of(LinearRig())
     calibrator = PinholeCalibrator()
     calibration = calibrator.calibrate(observed)
-    little = replace(calibration, residuals={**calibration.residuals, "marks_coverage": 0.3})
+    little = replace(calibration, residuals={**calibration.residuals, "corners_coverage": 0.3})
     evidence = calibrator.evidence(observed, little)
     assert "checks failed" in evidence.verdict[0]
     assert any("Board corners cover 30% of the image" in sentence for sentence in evidence.verdict)

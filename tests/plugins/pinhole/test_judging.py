@@ -59,8 +59,8 @@ def refused(seen: Shown, says: str) -> None:
 
 def test_what_is_right_is_let_through(rng) -> None:
     verdict = judged(joint_of(few_errors(rng)))
-    assert verdict.residuals["marks_systematic_px"] < 0.02, "px"
-    assert verdict.residuals["marks_rms_px"] == pytest.approx(0.05 * np.sqrt(2.0), rel=0.1), "px"
+    assert verdict.residuals["corners_systematic_px"] < 0.02, "px"
+    assert verdict.residuals["corners_rms_px"] == pytest.approx(0.05 * np.sqrt(2.0), rel=0.1), "px"
     # 350 mm away at 1600 px focal length; a point's way to its plane is shorter than its way along the row
     mm = verdict.residuals["stripes_rms_px"] * 350.0 / 1600.0
     assert 0.5 * mm < verdict.residuals["stripes_rms_mm"] < 1.1 * mm

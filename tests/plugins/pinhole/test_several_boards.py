@@ -90,7 +90,7 @@ def test_each_image_is_shown_with_the_reason_also_where_nothing_comes_of_it(whol
     assert "no stripe is seen" in found[laser].why
     used = [one for one in found if not one.why]
     assert len(used) == len(found) - 1
-    assert all(len(one.marks_px) or len(one.points_px) for one in used)
+    assert all(len(one.corners_px) or len(one.points_px) for one in used)
     board = Board("another", "chessboard", columns=20, rows=15, pitch_mm=5.0)
     refused = replace(whole, board=board)
     with pytest.raises(CalibrationError) as refusal:

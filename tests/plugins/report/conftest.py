@@ -17,7 +17,7 @@ from roemetry.records import (
     AMBIGUOUS,
     BELT,
     NOTHING,
-    UNCODED,
+    UNLABELLED,
     Acquisition,
     Coding,
     Estimate,
@@ -103,7 +103,7 @@ def trace_of(scene: Scene) -> Trace:
     strays[np.arange(scene.noise), stray_row] = rng.uniform(2, COLUMNS - 3, scene.noise)
     peaks, line = RIG.peaks(np.vstack([lit, strays]))
     refused = (line < STRIPES) & ambiguous[np.minimum(line, STRIPES - 1), peaks.row]
-    peak_stripe = np.where(refused, AMBIGUOUS, np.where(line < STRIPES, line, UNCODED)).astype(np.int16)
+    peak_stripe = np.where(refused, AMBIGUOUS, np.where(line < STRIPES, line, UNLABELLED)).astype(np.int16)
     nothing = np.full(x.shape, np.nan)
     x = np.where((x < COLUMNS - 2) & ~ambiguous, x, np.nan)
     product = np.where(np.isnan(x), NOTHING, product)
@@ -153,9 +153,9 @@ def measurements_of(scene: Scene, **changes: Any) -> tuple[Measurement, ...]:
                 stripes=STRIPES,
                 stripes_seen=STRIPES,
                 peaks=len(peaks),
-                coded=int((stripes.peak_stripe >= 0).sum()),
+                labelled=int((stripes.peak_stripe >= 0).sum()),
                 ambiguous=int((stripes.peak_stripe == AMBIGUOUS).sum()),
-                uncoded=int((stripes.peak_stripe == UNCODED).sum()),
+                unlabelled=int((stripes.peak_stripe == UNLABELLED).sum()),
                 rows_seen=int((mine & stripes.seen).sum()),
                 rows_interpolated=int((mine & ~stripes.seen).sum()),
                 saturated_share=0.0213,

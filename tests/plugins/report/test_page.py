@@ -201,7 +201,7 @@ def test_nothing_but_nan_is_a_page_too(synthetic, tmp_path):
         ),
         weight=Weight(Estimate(nan), why),
         grade=Grade("unknown", features={"radius_px": nan}),
-        coding=replace(row.coding, saturated_share=nan, displacement_max_px=nan, peaks=0, coded=0),
+        coding=replace(row.coding, saturated_share=nan, displacement_max_px=nan, peaks=0, labelled=0),
     )
     trace = synthetic.trace_of(synthetic.Scene("a"))
     cells = Page(written(synthetic.run_of(tmp_path, [row], {"a": trace}))).rows["a#1"]

@@ -96,14 +96,14 @@ def test_curves_lie_where_the_stripes_are_and_bridges_reach_their_neighbours(tra
     assert {e.get("stroke") for e in belt} == {palette.BELT}
 
 
-def test_ambiguous_and_uncoded_peaks_differ_in_shape_and_colour(trace, drawn):
+def test_ambiguous_and_unlabelled_peaks_differ_in_shape_and_colour(trace, drawn):
     paths = {e.get("class"): e for e in drawn["d"].iter("path")}
-    ambiguous, uncoded = paths["c c-ambiguous"], paths["c c-uncoded"]
+    ambiguous, unlabelled = paths["c c-ambiguous"], paths["c c-unlabelled"]
     assert ambiguous.get("stroke") == palette.AMBIGUOUS
     assert ambiguous.get("d").count("M") == int((trace.stripes.peak_stripe == AMBIGUOUS).sum()) == 20
     assert ambiguous.get("d").count("z") == 20
-    assert "z" not in uncoded.get("d")
-    centre = points("M" + uncoded.get("d").split("M")[1])[0]
+    assert "z" not in unlabelled.get("d")
+    centre = points("M" + unlabelled.get("d").split("M")[1])[0]
     first = np.flatnonzero(trace.stripes.peak_stripe == -1)[0]
     np.testing.assert_allclose(centre, [trace.peaks.x_px[first], trace.peaks.row[first]], atol=0.006)
 

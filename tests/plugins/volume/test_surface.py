@@ -304,7 +304,7 @@ def test_two_products_side_by_side_have_no_volume_in_common(apart: float, wall: 
     """Two domes beside each other, which stripes and outline take for one, overlapping or just touching."""
     made = side_by_side(apart, wall)
     for estimator in (OutlineSurface(), SlicePchip()):
-        with pytest.raises(StageError, match="two products side by side, coded as one"):
+        with pytest.raises(StageError, match="two products side by side, labelled as one"):
             estimator.estimate(made)
 
 

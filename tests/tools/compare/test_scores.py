@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roemetry.records import AMBIGUOUS, UNCODED, Frame, Peaks, Reason, StripeMap, StripeTruth
+from roemetry.records import AMBIGUOUS, UNLABELLED, Frame, Peaks, Reason, StripeMap, StripeTruth
 from roemetry_tools.compare.aggregate import NOT_GRADED, classes_of, errors_of
 from roemetry_tools.compare.stripes import (
     by_place,
@@ -103,8 +103,8 @@ def test_coding_is_scored_as_it_was_made(lines: np.ndarray) -> None:
     row, x_px = of_map(found)
     stripe = np.nonzero(np.isfinite(found))[0]
     label = np.where((stripe == 0) & (row < 10), AMBIGUOUS, stripe)
-    label = np.where((stripe == 1) & (row < 5), UNCODED, label)
-    label = np.where((stripe == 2) & (row >= 3) & (row < 11), UNCODED, label)
+    label = np.where((stripe == 1) & (row < 5), UNLABELLED, label)
+    label = np.where((stripe == 2) & (row >= 3) & (row < 11), UNLABELLED, label)
     label = np.where((stripe == 3) & (row >= 3) & (row < 11), 2, label)
     order = np.lexsort((x_px, row))
     score = score_coding(stripe_map(coded, label[order]), peaks(row, x_px), truth(lines))

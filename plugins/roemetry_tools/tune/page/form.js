@@ -2,11 +2,6 @@
 import { element } from "./element.js";
 import { slider } from "./slider.js";
 
-const NAMES = {
-  extractor: "Extractor", coder: "Coder", smoother: "Smoother", triangulator: "Triangulator",
-  outliner: "Outliner", volume: "Volume", weigher: "Weigher", classifier: "Classifier", grader: "Grader",
-};
-
 /** Make the form.
  *  recipe: what the server says of it; wish: changed in place; changed(): called after each change. */
 export function makeForm(place, recipe, wish, changed) {
@@ -34,7 +29,7 @@ export function makeForm(place, recipe, wish, changed) {
     }
     const unknown = stage.chosen && !stage.choices.some((choice) => choice.use === stage.chosen.use);
     if (unknown) select.append(new Option(stage.chosen.use, stage.chosen.use));
-    const card = makeCard(stage.kind, NAMES[stage.kind] ?? stage.kind, select);
+    const card = makeCard(stage.kind, stage.kind[0].toUpperCase() + stage.kind.slice(1), select);
     const own = kept[stage.kind] = {};
     if (wish.stages[stage.kind]) own[wish.stages[stage.kind].use] = wish.stages[stage.kind].options;
     select.addEventListener("change", () => {

@@ -1,7 +1,7 @@
 // What can be drawn over the frame; each layer is a tick box, its sign, and how many there are.
 import { element } from "./element.js";
 
-const SATURATED = 1, EDGE = 2, WIDE = 4, UNCODED = -1, AMBIGUOUS = -2;
+const SATURATED = 1, EDGE = 2, WIDE = 4, UNLABELLED = -1, AMBIGUOUS = -2;
 
 export const LAYERS = [
   { key: "peaks", name: "peaks", colour: "#f4f7fa", on: false, title: "every peak the extractor found" },
@@ -11,7 +11,7 @@ export const LAYERS = [
   { key: "saturated", name: "saturated", colour: "#ff5df2", on: true, problem: true, title: "peaks at the white level: their middle is a guess" },
   { key: "ambiguous", name: "ambiguous", colour: "#ff4d4d", on: true, problem: true, title: "peaks that may belong to several stripes and are left out" },
   { key: "gaps", name: "gaps", colour: "#ff9d2e", on: true, problem: true, title: "rows of a stripe between seen ones in which it was not seen" },
-  { key: "uncoded", name: "unlabelled", colour: "#9aa5b0", on: true, problem: true, title: "peaks taken for noise" },
+  { key: "unlabelled", name: "unlabelled", colour: "#9aa5b0", on: true, problem: true, title: "peaks taken for noise" },
   { key: "odd", name: "wide or at the edge", colour: "#5fd8d8", on: false, problem: true, title: "peaks wider than a stripe is, or too near the image's border" },
 ];
 
@@ -32,7 +32,7 @@ export function makeLayers(place, changed) {
   const show = ({ places, arrays }) => {
     const told = {
       peaks: places.peaks, saturated: places.saturated, ambiguous: places.ambiguous, gaps: places.gaps,
-      uncoded: places.uncoded, stripes: arrays["stripes.x_px"]?.shape[0],
+      unlabelled: places.unlabelled, stripes: arrays["stripes.x_px"]?.shape[0],
       odd: (places.edge ?? 0) + (places.wide ?? 0),
     };
     for (const [key, node] of Object.entries(counts)) {
@@ -50,7 +50,7 @@ export function problemOf(arrays, peak) {
   const flags = arrays["peaks.flags"].data[peak];
   const found = [];
   if (stripe === AMBIGUOUS) found.push("ambiguous");
-  if (stripe === UNCODED) found.push("uncoded");
+  if (stripe === UNLABELLED) found.push("unlabelled");
   if (flags & SATURATED) found.push("saturated");
   if (flags & (EDGE | WIDE)) found.push("odd");
   return found;

@@ -1,4 +1,4 @@
-// The numbers, beside those of the recipe as it is saved, and the places that want a look.
+// The numbers, beside those of the recipe as it is saved, and the places to look at.
 import { element } from "./element.js";
 
 /** answer, saved: of the server; goTo(x, row): shows a place of the frame. */
@@ -45,7 +45,8 @@ function productCard(row, before, changed) {
   for (const reason of told) {
     if (seen.has(reason.text)) continue;
     seen.add(reason.text);
-    list.append(element("li", {}, element("code", {}, reason.code), " ", reason.text));
+    const parts = reason.text.split("`").map((said, k) => (k % 2 ? element("code", {}, said) : said));
+    list.append(element("li", {}, element("code", {}, reason.code), " ", ...parts));
   }
   if (list.children.length) card.append(list);
   return card;
@@ -55,8 +56,11 @@ function quantities(row) {
   const found = [];
   const put = (label, unit, estimate, per, digits) => {
     if (!estimate || estimate.value === null) return;
-    const said = (estimate.value / per).toFixed(digits);
-    found.push([label, unit, estimate.std === null ? said : `${said} ± ${(estimate.std / per).toPrecision(2)}`]);
+    const std = estimate.std / per;
+    // as many decimals as two digits of the uncertainty have
+    const places = std > 0 ? Math.min(Math.max(1 - Math.floor(Math.log10(std)), 0), 6) : digits;
+    const said = (estimate.value / per).toFixed(places);
+    found.push([label, unit, std > 0 ? `${said} ± ${std.toFixed(places)}` : said]);
   };
   const share = (label, value) => found.push([label, "%", (100 * value).toFixed(1)]);
   if (row.decision) {
@@ -70,7 +74,7 @@ function quantities(row) {
   put("mass", "g", row.weight?.mass_g, 1, 2);
   put("visible volume", "cm³", row.volume?.visible_mm3, 1000, 2);
   put("true volume", "cm³", row.volume?.true_mm3, 1000, 2);
-  put("height, most", "mm", row.height_max_mm, 1, 2);
+  put("largest height", "mm", row.height_max_mm, 1, 2);
   if (row.volume) {
     share("seen", row.volume.shares.seen);
     share("interpolated", row.volume.shares.interpolated);
@@ -78,13 +82,13 @@ function quantities(row) {
   }
   if (row.coding) {
     found.push(["stripes seen", "", `${row.coding.stripes_seen}/${row.coding.stripes}`]);
-    found.push(["shift, most", "px", (row.coding.displacement_max_px ?? 0).toFixed(2)]);
+    found.push(["largest displacement", "px", (row.coding.displacement_max_px ?? 0).toFixed(2)]);
   }
   return found;
 }
 
 function placesCard(answer, saved, changed, goTo) {
-  const card = element("section", { className: "card" }, element("h2", {}, "Places that want a look"));
+  const card = element("section", { className: "card" }, element("h2", {}, "Places to look at"));
   const { places } = answer;
   const of = (kind) => (changed && saved ? ` (saved: ${saved.places[kind] ?? "–"})` : "");
   const list = element("ul", { className: "places" });
@@ -92,7 +96,7 @@ function placesCard(answer, saved, changed, goTo) {
     saturated: "saturated peaks: less light, or a shorter exposure",
     ambiguous: "ambiguous peaks: left out of every number",
     gaps: "gaps along a stripe",
-    uncoded: "unlabelled peaks: taken for noise",
+    unlabelled: "unlabelled peaks: taken for noise",
     wide: "peaks wider than a stripe",
     edge: "peaks at the image's border",
   };
@@ -121,7 +125,7 @@ function whereIs(kind, { places, arrays }) {
   const flags = arrays["peaks.flags"].data, stripe = arrays["peaks.stripe"]?.data;
   const test = {
     saturated: (i) => flags[i] & 1, edge: (i) => flags[i] & 2, wide: (i) => flags[i] & 4,
-    ambiguous: (i) => stripe?.[i] === -2, uncoded: (i) => stripe?.[i] === -1,
+    ambiguous: (i) => stripe?.[i] === -2, unlabelled: (i) => stripe?.[i] === -1,
   }[kind];
   const groups = [];
   for (let i = 0; i < x.length; i++) {

@@ -295,11 +295,11 @@ export function makePicture(canvas, shown, looked) {
     if (!arrays["peaks.x_px"]) return;
     const x = arrays["peaks.x_px"].data, rows = arrays["peaks.row"].data;
     const arm = Math.max(3, Math.min(7, view.scale)) * unit();
-    const paths = { uncoded: new Path2D(), odd: new Path2D(), ambiguous: new Path2D(), saturated: new Path2D() };
+    const paths = { unlabelled: new Path2D(), odd: new Path2D(), ambiguous: new Path2D(), saturated: new Path2D() };
     for (let i = 0; i < x.length; i++) {
       for (const kind of problemOf(arrays, i)) {
         const path = paths[kind], cx = px(x[i]), cy = py(rows[i]);
-        if (kind === "uncoded") {
+        if (kind === "unlabelled") {
           path.moveTo(cx - arm, cy - arm); path.lineTo(cx + arm, cy + arm);
           path.moveTo(cx - arm, cy + arm); path.lineTo(cx + arm, cy - arm);
         } else if (kind === "ambiguous") {
