@@ -28,7 +28,7 @@ from roemetry.records import (
     BELT,
     EDGE,
     NOTHING,
-    UNCODED,
+    UNLABELLED,
     WIDE,
     Dots,
     Peaks,
@@ -270,7 +270,7 @@ def _map(
     product[stripe, row] = number
     line_at = np.full(shape, -1, np.int16)
     line_at[stripe, row] = line
-    peak_stripe = np.full(len(peaks), UNCODED, np.int16)
+    peak_stripe = np.full(len(peaks), UNLABELLED, np.int16)
     open_dots = np.setdiff1d(found.dot, dot)
     peak_stripe[open_dots] = AMBIGUOUS
     peak_stripe[dot] = stripe

@@ -204,14 +204,15 @@ def _moves(scene: Scene, chain: Chain) -> tuple[Floats, Floats, Floats]:
     """Give (step, parameter) the calibration's independent steps, and how the products move with them.
 
     That is (step, node, 3) mm, and (node,) the share of the products' points at each. In a frame a point
-    moves as the nearest node of a lattice, which is the same for all frames; a scan's lines are its own.
+    moves as the nearest node of a lattice, which is the same for all frames; a scan's lines and dots are
+    their own.
     """
     stripes, calibration, triangulator = scene.stripes, scene.calibration, chain.triangulator
     mine = stripes.product > 0
-    if isinstance(triangulator, Placing):
-        some = np.arange(stripes.rows) % _ROWS_APART == 0
-        x_px = np.where(some, stripes.x_px, np.nan)
-        steps, moves = _moved(x_px, stripes.rest_px, mine & some, calibration, triangulator)
+    if isinstance(triangulator, Placing) or stripes.dots is not None:
+        if stripes.dots is None:
+            stripes = _every(stripes, _ROWS_APART)
+        steps, moves = _moved(stripes, stripes.product > 0, calibration, triangulator)
         return steps, moves.astype(np.float64), np.full(moves.shape[1], 1.0 / max(moves.shape[1], 1))
     lattice = _lattice_of(calibration, triangulator)
     stripe, row = np.nonzero(mine)
@@ -246,18 +247,31 @@ def _lattice_of(calibration: Calibration, triangulator: Any) -> _Lattice:
     row = np.clip(middle[:, None].astype(np.int64) + np.arange(_PLACES) - _PLACES // 2, 0, rows - 1).ravel()
     x_px = np.full_like(first_px, np.nan)
     x_px[:, row] = first_px[:, row] + step_px * np.tile(np.arange(_PLACES), _BLOCKS)
-    return _Lattice(*_moved(x_px, rest_px, np.isfinite(x_px), calibration, triangulator), first_px, step_px)
+    lit, unknown = np.isfinite(x_px), np.full_like(x_px, np.nan)
+    product = np.where(lit, 1, NOTHING).astype(np.int16)
+    interpolated, missing = np.zeros_like(lit), np.empty(0, np.int16)
+    places = StripeMap(x_px, unknown, product, lit, unknown, interpolated, rest_px, missing)
+    return _Lattice(*_moved(places, lit, calibration, triangulator), first_px, step_px)
+
+
+def _every(stripes: StripeMap, rows: int) -> StripeMap:
+    """Leave of a map the points of every so many rows."""
+    x_px = np.where(np.arange(stripes.rows) % rows == 0, stripes.x_px, np.nan)
+    lit = np.isfinite(x_px)
+    product = np.where(lit, stripes.product, NOTHING).astype(stripes.product.dtype)
+    return replace(stripes, x_px=x_px, product=product, seen=stripes.seen & lit)
 
 
 def _moved(
-    x_px: Floats, rest_px: Floats, wanted: Flags, calibration: Calibration, triangulator: Any
+    places: StripeMap, wanted: Flags, calibration: Calibration, triangulator: Any
 ) -> tuple[Floats, NDArray[np.float32]]:
-    """Give the calibration's independent steps, and (step, place, 3) by how much each moves wanted places."""
-    lit, unknown = np.isfinite(x_px), np.full_like(x_px, np.nan)
-    places = StripeMap(
-        x_px, unknown, np.where(lit, wanted, NOTHING).astype(np.int16), lit, unknown, np.zeros_like(lit),
-        rest_px, np.empty(0, np.int16),
-    )  # fmt: skip
+    """Give the calibration's independent steps, and (step, place, 3) by how much each moves wanted places.
+
+    Raises
+    ------
+    RoemetryError
+        The places cannot be triangulated, of which nobody may conclude that the calibration has no error.
+    """
 
     def points(moved: Calibration) -> Floats:
         try:
@@ -267,7 +281,7 @@ def _moved(
 
     steps = calibration.independent_steps()
     steps = steps[(steps != 0.0).any(axis=1)]
-    at = points(calibration)
+    at = np.asarray(triangulator.triangulate(places, calibration).xyz_mm[wanted])
     moves = [(points(calibration.shifted(step)) - at).astype(np.float32) for step in steps]
     return steps, np.nan_to_num(np.array(moves).reshape(len(steps), len(at), 3))
 
