@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.labelled import CodingRig
+from benchmarks.coded import CodingRig
 from benchmarks.traced.skeins import Traced
 from roemetry.records.arrays import Floats
 from roemetry_simulate.solid import Solid

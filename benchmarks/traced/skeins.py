@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.labelled import CodingRig, dense_rig, easy_rig, sample_from
-from benchmarks.labelled.crossings import Crossings, crossings_of
-from benchmarks.labelled.products import in_view
+from benchmarks.coded import CodingRig, dense_rig, easy_rig, sample_from
+from benchmarks.coded.crossings import Crossings, crossings_of
+from benchmarks.coded.products import in_view
 from benchmarks.volume_scenes import lifted, rig_of
 from roemetry.errors import StageError
 from roemetry.records import Peaks, Product

@@ -24,11 +24,11 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from roemetry.errors import DataError
 from roemetry.records import EDGE, SATURATED, WIDE, Dots, Frame, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.image_levels import grey
 
 _NOISES = 8.0
 """Of the smoothed image's noise, that a dot's top rises above its surroundings."""
@@ -54,6 +54,9 @@ _ALIKE = 3
 """Pixels over which speckle is alike."""
 _WIDTHS = (0.5, 2.0)
 """Of the dots' usual size, that one can be: a sphere's flank at 75° draws its dot out to the double."""
+_HEIGHT_MAX, _DARK_MAX = 3.0, 0.1
+"""Of white: a dot that is not clipped and higher, or whose background is darker than black by more, was drawn
+far beyond its pixels."""
 _MISFIT_MAX = 3.0
 """Times the noise that residuals can be: merged dots reach ten and more."""
 _FWHM = 2.3548200450309493
@@ -77,10 +80,8 @@ class DotCentres(Extractor[DotCentresOptions]):
     capabilities = Capabilities(tolerance_px=0.02, saturated_tolerance_px=0.3, pattern="dots")
 
     def extract(self, frame: Frame) -> Peaks:
-        """Find the dots of a frame of one channel; DataError where it has colours."""
-        if frame.pixels.ndim != 2:
-            raise DataError("the frame has colours, expected one channel", hint="set source.channel")
-        image = np.ascontiguousarray(frame.pixels, np.float64)
+        """Find the dots of a frame; DataError where it has colours, or pixels above its bit depth."""
+        image = np.ascontiguousarray(grey(frame), np.float64)
         starts, noise = found_dots(image, frame.white, self.options.amplitude_min)
         gain = math.nan if frame.sensor is None else frame.sensor.gain_grey_per_electron
         fit = fitted_dots(image, float(frame.white), starts, noise, gain)
@@ -196,12 +197,15 @@ def _speckle(image: Floats, values: Floats, radius: Integers, given: Floats) -> 
 
 def _peaks(fit: Fit, frame: Frame, width_max_px: float) -> Peaks:
     rows, columns = frame.size
-    x, y, amplitude = fit.values[:, 0], fit.values[:, 1], fit.values[:, 2]
+    x, y, amplitude, background = (fit.values[:, k] for k in range(4))
     across, along = fit.values[:, 4], fit.values[:, 6]
     with np.errstate(invalid="ignore"):
         inside = (x >= 0.0) & (x <= columns - 1.0) & (y >= 0.0) & (y <= rows - 1.0)
         width = _FWHM * np.sqrt(np.maximum(across, along))
-        kept = np.flatnonzero(inside & (amplitude > 0.0) & np.isfinite(fit.misfit) & (width <= width_max_px))
+        known = fit.clipped | (amplitude <= _HEIGHT_MAX * frame.white)
+        known &= (background >= -_DARK_MAX * frame.white) & (background <= frame.white)
+        sound = inside & known & (amplitude > 0.0) & np.isfinite(fit.misfit) & (width <= width_max_px)
+        kept = np.flatnonzero(sound)
     kept = _once(fit.values, kept)
     row = np.rint(y[kept]).astype(np.int64)
     kept = kept[np.lexsort((x[kept], row))]
@@ -219,7 +223,7 @@ def _peaks(fit: Fit, frame: Frame, width_max_px: float) -> Peaks:
         x_px=x[kept],
         x_std_px=np.sqrt(covariance[:, 0, 0]),
         amplitude=amplitude[kept],
-        background=fit.values[kept, 3],
+        background=background[kept],
         width_px=_FWHM * np.sqrt(across[kept]),
         flags=(SATURATED * fit.clipped[kept] + EDGE * edge + WIDE * odd).astype(np.uint8),
         dots=Dots(y[kept], covariance, np.full(kept.size, -1, np.int16)),

@@ -137,8 +137,7 @@ def _repeated(lines: NDArray[Any]) -> int | None:
     """Give the first of the lines that repeat others; None of none."""
     sampled = np.ascontiguousarray(lines[:, ::_SAMPLED]).reshape(len(lines), -1)
     words = _words(sampled)
-    first = words[:, 0]
-    if ((first == words[:, -1]) & (first == words[:, words.shape[1] // 2])).any():
+    if words.size and _same_at_ends(words).any():
         filled = _filled(lines, (words == words[:, :1]).all(axis=1))
         if filled is not None:
             return filled
@@ -164,6 +163,12 @@ def _repeated(lines: NDArray[Any]) -> int | None:
     usual = lines[[line for line in last.values() if line not in one_grey]]
     clipped = bool(one_grey) and float((usual == lines[one_grey[0]].flat[0]).mean()) > _CLIPPED_SHARE
     return None if clipped and len(one_grey) == len(repeated) else repeated[0]
+
+
+def _same_at_ends(words: NDArray[np.uint64]) -> NDArray[np.bool_]:
+    """Say which lines may be of one level, by three of their words: nearly none is."""
+    first = words[:, 0]
+    return np.asarray((first == words[:, -1]) & (first == words[:, words.shape[1] // 2]))
 
 
 def _filled(lines: NDArray[Any], level: NDArray[np.bool_]) -> int | None:

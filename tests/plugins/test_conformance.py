@@ -41,6 +41,7 @@ OPTIONS = {
     "moving-belt": {
         "camera": {"width_px": 96, "height_px": 64, "pixel_size_um": 66.0},
         "scan": {"counts_per_line": 250},
+        "product": {"family": "egg"},
     },
     "ray-caster": {
         "camera": {"width_px": 96, "height_px": 64, "pixel_size_um": 66.0},

@@ -35,6 +35,14 @@ ROWS, COLUMNS = 96, 320
 REST_PX = np.array([60.0, 130.0, 200.0, 270.0])
 
 every_extractor = pytest.mark.parametrize("name", NAMES)
+every_line_extractor = pytest.mark.parametrize(
+    "name",
+    [
+        name
+        for name in NAMES
+        if REGISTRY.load(REGISTRY.find("extractor", name)).capabilities.pattern == "lines"
+    ],
+)
 
 
 def made(name: str):
@@ -116,7 +124,7 @@ def only_right(name: str, peaks: Peaks | None, x_px: np.ndarray, within_px: floa
         assert farthest(peaks, x_px) <= within_px
 
 
-@every_extractor
+@every_line_extractor
 def test_stripes_one_pixel_wide(name: str, rng: np.random.Generator) -> None:
     x_px = np.rint(centres())
     level = np.full((ROWS, COLUMNS), 14.0)
@@ -125,14 +133,14 @@ def test_stripes_one_pixel_wide(name: str, rng: np.random.Generator) -> None:
     only_right(name, extracted(name, camera(level, rng)), x_px, 0.6)
 
 
-@every_extractor
+@every_line_extractor
 def test_stripes_forty_pixels_wide(name: str, rng: np.random.Generator) -> None:
     x_px = centres()[[0, 2]]
     peaks = extracted(name, camera(light(x_px, sigma=17.0), rng))
     only_right(name, peaks, x_px, 8.0 if name in WHOLE_PIXEL else 2.0)
 
 
-@every_extractor
+@every_line_extractor
 def test_touching_stripes_are_two_or_one_between(name: str, rng: np.random.Generator) -> None:
     apart = 1.8 * 5.0
     x_px = np.sort(np.concatenate([centres(), centres() + apart]), axis=0)
@@ -152,7 +160,7 @@ def test_an_image_that_is_white_all_over(name: str, bits: int) -> None:
     assert peaks is None or not len(peaks)
 
 
-@every_extractor
+@every_line_extractor
 def test_stripes_cut_off_at_white(name: str, rng: np.random.Generator) -> None:
     x_px = centres()
     peaks = extracted(name, camera(light(x_px, sigma=3.0, amplitude=20_000.0), rng))
@@ -163,7 +171,7 @@ def test_stripes_cut_off_at_white(name: str, rng: np.random.Generator) -> None:
         assert name in BY_METHOD or name in NARROW or found_share(peaks, x_px, 1.0) >= 0.8
 
 
-@every_extractor
+@every_line_extractor
 @pytest.mark.parametrize("width", [4, 9])
 def test_flat_tops_with_soft_edges(name: str, width: int, rng: np.random.Generator) -> None:
     """No Gaussian at all: found all the same, and near the middle."""
@@ -179,7 +187,7 @@ def test_flat_tops_with_soft_edges(name: str, width: int, rng: np.random.Generat
     assert found_share(peaks, middle, 5.0 if name in TOLD else 1.5) >= 0.95
 
 
-@every_extractor
+@every_line_extractor
 @pytest.mark.parametrize("lines", [slice(None), slice(0, 1)])
 def test_dark_lines_on_bright_ground_are_named_and_no_stripes(name, lines, rng) -> None:
     x_px = centres()[lines]
@@ -197,7 +205,7 @@ def test_bright_stripes_are_not_named_so(name, rng) -> None:
         assert name in BY_METHOD or "upside-down" not in {reason.code for reason in peaks.reasons}
 
 
-@every_extractor
+@every_line_extractor
 def test_interlaced_rows(name: str, rng: np.random.Generator) -> None:
     """Every other row was taken while the belt was 6 px further on."""
     x_px = centres() + 6.0 * (np.arange(ROWS) % 2)
@@ -205,7 +213,7 @@ def test_interlaced_rows(name: str, rng: np.random.Generator) -> None:
     only_right(name, peaks, x_px, 1.0)
 
 
-@every_extractor
+@every_line_extractor
 @pytest.mark.parametrize("quality", [40, 80])
 def test_jpeg_blocks(name: str, quality: int, rng: np.random.Generator) -> None:
     x_px = centres()
@@ -218,7 +226,7 @@ def test_jpeg_blocks(name: str, quality: int, rng: np.random.Generator) -> None:
         assert (distance[stripes_of(peaks)] > 1.5).mean() <= 0.01
 
 
-@every_extractor
+@every_line_extractor
 @pytest.mark.parametrize(("hot", "share", "within_px"), [("columns", 0.99, 1.5), ("pixels", 0.98, 3.0)])
 def test_hot_columns_and_pixels_cost_no_stripe_and_are_none(name, hot, share, within_px, rng) -> None:
     x_px, level = centres(), light(centres())
@@ -233,7 +241,7 @@ def test_hot_columns_and_pixels_cost_no_stripe_and_are_none(name, hot, share, wi
         only_right(name, peaks, x_px, within_px)
 
 
-@every_extractor
+@every_line_extractor
 def test_sixteen_bit_pixels_of_which_twelve_are_used(name: str, rng: np.random.Generator) -> None:
     x_px = centres()
     pixels = np.clip(np.rint(16.0 * (light(x_px) + rng.normal(0.0, 1.5, (ROWS, COLUMNS)))), 0, 4095)
@@ -256,7 +264,7 @@ def test_pixels_above_the_bit_depth_are_refused(name: str) -> None:
         made(name).extract(Frame(pixels, bit_depth=12))
 
 
-@every_extractor
+@every_line_extractor
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_byte_order(name: str, order: str, rng: np.random.Generator) -> None:
     """Pixels as a big-endian file holds them: taken as what they mean, or refused."""
