@@ -13,22 +13,30 @@ from roemetry_scan.formats.points import Measured, flat, from_flat
 
 
 def read(path: Path) -> Measured:
-    """Read a table of points; DataError names the line that has too few or no numbers."""
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        lines = csv.reader(file)
-        names = [name.strip().lower().split(" ")[0] for name in next(lines, [])]
-        if not {"x", "y", "z"} <= set(names):
-            raise DataError(f"{path}: its columns are {', '.join(names) or 'none'}, expected x, y, z, …")
-        rows = []
-        for number, line in enumerate(lines, start=2):
-            if not line:
-                continue
-            try:
-                rows.append([float(text) if text.strip() else np.nan for text in line])
-            except ValueError:
-                raise DataError(f"{path}, line {number}: not numbers: {','.join(line)[:60]}") from None
-            if len(line) != len(names):
-                raise DataError(f"{path}, line {number}: {len(line)} values for {len(names)} columns")
+    """Read a table of points; DataError names the line that has too few or no numbers, or is cut off.
+
+    A table has no header that says how long it is: one cut at the very end of a line is not told.
+    """
+    content = path.read_text("utf-8-sig")
+    lines = csv.reader(content.splitlines())
+    names = [name.strip().lower().split(" ")[0] for name in next(lines, [])]
+    if not {"x", "y", "z"} <= set(names):
+        raise DataError(f"{path}: its columns are {', '.join(names) or 'none'}, expected x, y, z, …")
+    rows = []
+    for number, line in enumerate(lines, start=2):
+        if not line:
+            continue
+        try:
+            rows.append([float(text) if text.strip() else np.nan for text in line])
+        except ValueError:
+            raise DataError(f"{path}, line {number}: not numbers: {','.join(line)[:60]}") from None
+        if len(line) != len(names):
+            raise DataError(f"{path}, line {number}: {len(line)} values for {len(names)} columns")
+    if "point" in names and not content.endswith("\n"):  # `write` ends each line
+        raise DataError(
+            f"{path}, line {len(rows) + 1}: the last line is not ended: the file is cut off",
+            hint="if it is whole, end its last line",
+        )
     table = np.array(rows, np.float64).reshape(-1, len(names))
     at = {name: table[:, k] for k, name in enumerate(names)}
     return from_flat(np.column_stack([at[name] for name in "xyz"]), at.get("slice"), at.get("point"))

@@ -13,9 +13,10 @@ from roemetry.records.arrays import Flags, Floats
 from roemetry.records.light import at_height
 from roemetry.stages import Calibrator, Coder, Extractor, Triangulator
 from roemetry.testing.cases import calibration_for, calibration_set_for
+from roemetry.testing.checks.points import require_it_survives_its_file
 from roemetry.testing.dots import DotRig
 from roemetry.testing.scenes import SEED, frame_of
-from roemetry.testing.verdict import difference, refused, require
+from roemetry.testing.verdict import refused, require
 
 _NEAR_PX = 3.0
 _CODED_MIN = 0.99
@@ -195,9 +196,6 @@ def check_other_dots_are_refused(triangulator: Triangulator[Any]) -> None:
 
 def check_rays_come_back(calibrator: Calibrator[Any]) -> None:
     """Rays meet the belt where dots are seen, and lie apart and diverge as the rig's; their file is whole."""
-    import tempfile
-    from pathlib import Path
-
     rig = DotRig()
     observed = calibration_set_for(calibrator, rig)
     calibration = calibrator.calibrate(observed)
@@ -225,11 +223,7 @@ def check_rays_come_back(calibrator: Calibrator[Any]) -> None:
     for what, ratio in (("distances of the rays on the belt", apart), ("how rays diverge", slopes)):
         wrong = abs(float(np.median(ratio)) - 1.0)
         require(wrong <= share, f"{what}: off by {wrong:.2%}, {share:.2%} are declared")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "calibration.yaml"
-        calibration.save(path)
-        changed = difference(calibration.to_dict(), type(calibration).load(path).to_dict())
-    require(changed is None, f"read again, {changed}")
+    require_it_survives_its_file(calibration)
 
 
 def check_a_wrong_number_of_dots_is_refused(calibrator: Calibrator[Any]) -> None:

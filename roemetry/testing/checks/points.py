@@ -10,7 +10,7 @@ import numpy as np
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import Profiles
 from roemetry.records.arrays import Floats
-from roemetry.records.calibration import Alignment
+from roemetry.records.calibration import Alignment, Calibration
 from roemetry.stages import Calibrator, Triangulator
 from roemetry.testing.cases import calibration_for, calibration_set_for
 from roemetry.testing.scenes import SEED, LinearRig
@@ -49,10 +49,14 @@ def check_the_covariance_can_be_drawn_from(calibrator: Calibrator[Any]) -> None:
 
 def check_it_survives_its_file(calibrator: Calibrator[Any]) -> None:
     """The calibration can be written to its file and read again without a change."""
+    require_it_survives_its_file(calibrator.calibrate(calibration_set_for(calibrator, LinearRig())))
+
+
+def require_it_survives_its_file(calibration: Calibration) -> None:
+    """Require that a calibration, written to a file and read again, has not changed."""
     import tempfile
     from pathlib import Path
 
-    calibration = calibrator.calibrate(calibration_set_for(calibrator, LinearRig()))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "calibration.yaml"
         calibration.save(path)

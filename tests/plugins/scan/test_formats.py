@@ -100,8 +100,6 @@ def test_a_file_that_is_cut_off_is_refused(tmp_path: Path, suffix: str) -> None:
     data = path.read_bytes()
     for share in (0.0, 0.01, 0.5, 0.97):
         path.write_bytes(data[: int(share * len(data))])
-        if suffix == "csv" and share > 0:
-            continue  # a table has no header that says how long it is
         with pytest.raises(RoemetryError, match="a\\."):
             read(path)
 
