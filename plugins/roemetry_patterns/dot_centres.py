@@ -59,7 +59,7 @@ _HEIGHT_MAX, _DARK_MAX = 3.0, 0.1
 far beyond its pixels."""
 _MISFIT_MAX = 3.0
 """Times the noise that residuals can be: merged dots reach ten and more."""
-_FWHM = 2.3548200450309493
+_FWHM = 2.3548200450309493  # full width at half height of a Gaussian, standard deviations
 
 
 class DotCentresOptions(StageOptions):

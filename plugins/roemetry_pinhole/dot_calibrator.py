@@ -39,6 +39,7 @@ _FACTOR_MAX = 6.0
 _MISSING_MAX = 0.2
 """Share of rays that may be seen on too few boards."""
 _REST_DEGREE = 3
+"""Of the polynomial along the rows that a column of dots on the belt gets: it bends as lenses bend lines."""
 
 
 class PinholeDotsOptions(StageOptions):

@@ -31,9 +31,8 @@ _STANDING_OUT = 3
 """Products named at either end of a distribution."""
 _FAR = 4.5
 """Robust standard deviations from the median beyond which a product stands out: of normal ones 7 in 10⁶."""
-_MAD_TO_STD = 1.4826
-
-_HEIGHT, _LEFT, _FLOOR = 176.0, 52.0, 140.0
+_MAD_TO_STD = 1.4826  # of a normal distribution
+_HEIGHT, _LEFT, _FLOOR = 176.0, 52.0, 140.0  # of a drawing, px: all of it, its axis, its base line
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,9 @@ from roemetry.testing.scenes import SEED, frame_of
 from roemetry.testing.verdict import refused, require
 
 _NEAR_PX = 3.0
-_CODED_MIN = 0.99
+"""Down the rows, within which what is found belongs to a pair of merged dots."""
+_LABELLED_MIN = 0.99
+"""Share of drawn dots, sound and seen, that a coder labels."""
 
 
 def check_dots_are_right(extractor: Extractor[Any]) -> None:
@@ -271,6 +273,6 @@ def _coded(coder: Coder[Any], rig: DotRig, heights: Floats, shown: Flags) -> Non
     wrong, right = _labels_of(coded, rig, heights)
     require(not wrong.any(), f"{int(wrong.sum())} dots carry another dot's label")
     share = float(right[shown].mean())
-    require(share >= _CODED_MIN, f"{share:.1%} of the dots are labelled, {_CODED_MIN:.0%} expected")
+    require(share >= _LABELLED_MIN, f"{share:.1%} of the dots are labelled, {_LABELLED_MIN:.0%} expected")
     off_belt = (coded.product > 0).any()
     require(bool(off_belt), "no dot of the dome is on a product")
