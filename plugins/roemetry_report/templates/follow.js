@@ -62,6 +62,12 @@
         var from = place(a.p), to = place(b.p);
         chart.append(element("path", { "class": a.seen && b.seen ? "seen" : "bridged", stroke: "#0d689c", d: "M" + from + "L" + to }));
       }
+      one.points.forEach(function (alone, k) {
+        var next = one.points[k + 1];
+        if (alone.joined || (next && next.joined)) return;
+        var there = place(alone.p);  // as a dot of a matrix of dots does, it stands by itself
+        chart.append(element("circle", { cx: there[0], cy: there[1], r: 2, fill: "#0d689c" }));
+      });
       var here = place(q.p);
       chart.append(element("path", { "class": "follow-cross", d: "M" + here[0] + " " + TOP + "V" + (TOP + tall) + "M" + LEFT + " " + here[1] + "H" + (WIDE - RIGHT) }));
       chart.append(element("circle", { "class": "follow-spot", cx: here[0], cy: here[1], r: 5 }));
