@@ -201,6 +201,7 @@ def compiled_in_turns(compiled: Any, source: Path) -> Any:
     object
         The same dispatcher; its `is_on_disk()` says whether this machine's code of it lies there.
     """
+    from numba import types
     from numba.core.compiler_lock import global_compiler_lock
     from numba.core.errors import NumbaError
     from numba.core.sigutils import normalize_signature
@@ -215,9 +216,11 @@ def compiled_in_turns(compiled: Any, source: Path) -> Any:
 
     def compile_in_turn(signature: Any) -> Any:
         """Compile for a signature, or take from disk what another process has compiled meanwhile."""
-        types = tuple(normalize_signature(signature)[0])
-        if types in compiled.overloads:
-            return compile_now(signature)
+        # numba would compile a kernel anew for each number that a caller writes out
+        given = tuple(map(types.unliteral, normalize_signature(signature)[0]))
+        if given in compiled.overloads:
+            return compile_now(given)
+        signature = given
         turn = nullcontext() if _is_kept(compiled, signature) else _turn(source)
         # numba's lock first: threads of this process that waited for each other's files could wait for ever
         with global_compiler_lock, turn, _undisturbed():
@@ -226,12 +229,12 @@ def compiled_in_turns(compiled: Any, source: Path) -> Any:
             except NumbaError:
                 raise  # the kernel's own fault
             except Exception as error:
-                if types in compiled.overloads:
+                if given in compiled.overloads:
                     say(
                         f"a compiled kernel could not be written to {compiled.stats.cache_path} ({error}) "
                         "and is compiled again next time. Free the disk, or set NUMBA_CACHE_DIR"
                     )
-                    return compiled.overloads[types].entry_point
+                    return compiled.overloads[given].entry_point
                 damaged = kept()
                 if not damaged:
                     raise

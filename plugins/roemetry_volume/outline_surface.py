@@ -407,11 +407,12 @@ def _disagreement(fused: Fused) -> Reason | None:
     """Compare the stripes' points and ends with the border."""
     from roemetry_volume.footprint import inside_by
 
-    inside = inside_by(fused.contour[::4], fused.place[::3])
+    contour = fused.contour[::4].copy()
+    inside = inside_by(contour, fused.place[::3].copy())
     outside = float((inside < -_OUTSIDE_MM).mean())
     ends = np.concatenate([fused.points.first[:-1], fused.points.first[1:] - 1])
     # the farther half may lie in the shadow
-    nearer = np.sort(inside_by(fused.contour[::4], fused.place[ends]))[: (ends.size + 1) // 2]
+    nearer = np.sort(inside_by(contour, fused.place[ends]))[: (ends.size + 1) // 2]
     short = float(np.median(nearer))
     if outside <= _OUTSIDE_SHARE and short <= _SHORT_MM:
         return None

@@ -156,7 +156,7 @@ def fitted_rim(
         rows[2, k] = rows[1, k] * rows[1, k]
         base[k] = 1.0 / (wide[k] ** 2 + _SPREAD_FLOOR_MM**2)
     base /= base.mean()
-    found, weight, off = robust_fit(rows, rim, base, _RIDGE, _SCATTER_LEAST_MM, _ROUNDS)
+    found, weight, off = robust_fit(rows, rim, base, _RIDGE.copy(), _SCATTER_LEAST_MM, _ROUNDS)
     # not less for many ends: what makes one end look low makes its neighbours look low
     std = np.sqrt((weight * (off**2 + wide**2)).sum() / weight.sum())
     return found, (scale_s, scale_v), max(std, 0.1), is_dome

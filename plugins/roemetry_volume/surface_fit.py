@@ -198,7 +198,7 @@ def fuse(product: Product, view: View, outline: Outline, start: Start | None = N
     settled_mm = _SETTLED_MM if start is None else _FOLLOWED_MM
     for _ in range(_ROUNDS if start is None else _ROUNDS_ON):
         contour = (border.xy_mm - centre) @ turn
-        coarse = contour[::2]
+        coarse = contour[::2].copy()
         rim = rim_of(points, ends, place, inside_by(coarse, place[ends[0]]))
         knots = _knots(points, place, rim, coarse)
         if start is None:

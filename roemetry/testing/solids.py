@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from roemetry.records import BELT, NOTHING, Product, Profiles
+from roemetry.records import BELT, NOTHING, Outline, Product, Profiles
 from roemetry.records.arrays import Floats
 from roemetry.testing.scenes import LinearRig
 
@@ -104,6 +104,18 @@ def product_of(solid: Solid, rig: LinearRig = DENSE) -> Product:
     surface = solid.surface_mm(points[..., 0], points[..., 1])
     heights = np.where(np.abs(surface - heights) < _ON_SURFACE_MM, heights, np.nan)
     return product_from(heights, rig)
+
+
+def outlined(solid: Solid) -> Product:
+    """Give the product with the outline of a half-ellipsoid's foot, as the rig's camera sees it."""
+    product = product_of(solid)
+    view = product.calibration.view
+    assert view is not None
+    angle = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
+    x = 0.5 * solid.length_mm * np.cos(angle)
+    x *= np.where(x > 0.0, 1.0 + solid.skew, 1.0 - solid.skew)
+    foot = np.column_stack([x, 0.5 * solid.width_mm * np.sin(angle), np.zeros_like(x)])
+    return replace(product, view=view, outline=Outline(1, view.project(foot)))
 
 
 def product_from(height_mm: Floats, rig: LinearRig = DENSE) -> Product:

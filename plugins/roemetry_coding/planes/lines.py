@@ -170,10 +170,11 @@ def _rows(peaks: Peaks, calibration: Calibration, rest_px: Floats) -> EpipolarLi
     rows, columns = peaks.image_size
     per_px = np.broadcast_to(1.0 / calibration.displacement_px_per_mm[:, None], rest_px.shape).T
     zero, one = np.zeros_like(per_px), np.ones_like(per_px)
-    plane = np.stack([per_px, -rest_px.T * per_px, zero, one], axis=2)
+    # as fresh arrays, like those of epipolar lines: for other layouts every kernel would be compiled again
+    plane = np.ascontiguousarray(np.stack([per_px, -rest_px.T * per_px, zero, one], axis=2))
     return EpipolarLines(
         peaks.row.astype(np.float64),
-        peaks.x_px,
+        peaks.x_px.copy(),
         plane,
         np.zeros(len(peaks)),
         np.zeros(rest_px.shape[0]),
