@@ -78,21 +78,17 @@ def machine() -> str:
 class _AllSources:
     """A locator whose stamp holds every file of ours that the kernel's file imports."""
 
-    @classmethod
-    def from_function(cls, py_func: Any, py_file: str) -> Any:
-        """Make the locator, or return None where its folder cannot be written."""
-        made = super().from_function(py_func, py_file)  # type: ignore[misc]
-        if made is not None:
-            made.source = Path(py_file)
-        return made
+    def __init__(self, py_func: Any, py_file: str) -> None:
+        self.source = Path(py_file)
+        super().__init__(py_func, py_file)  # type: ignore[call-arg]
 
     def ensure_cache_path(self) -> None:
         """Raise OSError where the folder cannot be written; asked once a folder, not once a kernel."""
         _check_writable(Path(self.get_cache_path()))  # type: ignore[attr-defined]
 
-    def get_source_stamp(self) -> tuple[Any, str]:
-        """Return numba's stamp of the file and the hash of all that it imports."""
-        return super().get_source_stamp(), digest(self.source)  # type: ignore[misc, attr-defined]
+    def get_source_stamp(self) -> str:
+        """Return the hash of the file and of all that it imports: numba's stamp has the file's age besides."""
+        return digest(self.source)
 
     def get_disambiguator(self) -> str:
         """Return what tells files of the same function apart: its line, and the machine."""
@@ -107,7 +103,16 @@ def _check_writable(folder: Path) -> None:
 
 
 class InCacheDir(_AllSources, UserProvidedCacheLocator):  # type: ignore[misc]
-    """In the folder that `NUMBA_CACHE_DIR` names; none where it is not set."""
+    """In the folder that `NUMBA_CACHE_DIR` names; none where it is not set.
+
+    Installations of the same sources share it: their folders are told apart by what stands in the files.
+    """
+
+    def get_cache_path(self) -> str:
+        """Return the folder of a source file's kernels."""
+        from numba import config
+
+        return str(Path(config.CACHE_DIR, self.source.parent.name, digest(self.source)[:12]))
 
 
 class BesideSource(_AllSources, InTreeCacheLocator):  # type: ignore[misc]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -45,6 +46,11 @@ print(caller(2.0), sum(caller.stats.cache_hits.values()))
 """
 
 
+@pytest.fixture(autouse=True)
+def no_common_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+
+
 def started(folder: Path, **env: str) -> subprocess.Popen[str]:
     path = os.pathsep.join([str(folder), str(PLUGINS)])
     return subprocess.Popen(
@@ -82,6 +88,16 @@ def test_a_kernel_is_kept_and_made_anew_when_a_callee_or_its_constant_changes(pa
     (package / "numbers.py").write_text("FACTOR = 5.0")
     assert ran(package.parent) == ["8.0", "0"]
     assert ran(package.parent) == ["8.0", "1"]
+
+
+def test_installations_of_the_same_sources_share_a_given_folder(package: Path, tmp_path: Path) -> None:
+    shutil.copytree(package, tmp_path / "other" / package.name)
+    given = str(tmp_path / "kernels")
+    assert ran(package.parent, NUMBA_CACHE_DIR=given) == ["7.0", "0"]
+    assert ran(tmp_path / "other", NUMBA_CACHE_DIR=given) == ["7.0", "1"]
+    (tmp_path / "other" / package.name / "numbers.py").write_text("FACTOR = 5.0")
+    assert ran(tmp_path / "other", NUMBA_CACHE_DIR=given) == ["11.0", "0"]
+    assert ran(package.parent, NUMBA_CACHE_DIR=given) == ["7.0", "1"]
 
 
 def test_of_processes_that_start_together_one_compiles(package: Path) -> None:
