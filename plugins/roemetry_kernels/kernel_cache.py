@@ -87,7 +87,7 @@ class _AllSources:
         _check_writable(Path(self.get_cache_path()))  # type: ignore[attr-defined]
 
     def get_source_stamp(self) -> str:
-        """Return the hash of the file and of all that it imports: numba's stamp has the file's age besides."""
+        """Return the hash of the file and of all that it imports; the folder it lies in counts for nothing."""
         return digest(self.source)
 
     def get_disambiguator(self) -> str:
