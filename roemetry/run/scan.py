@@ -147,7 +147,8 @@ def placed_only(
     `stripe` is that of which slices were made.
     """
     at = profiles.frame * (stripes.stripe_count // len(lines.count)) + stripe
-    x_px = stripes.x_px[at]
+    # a peak that was left out, of a stray reflection say, may lie where a flank was followed since
+    x_px = np.where(profiles.seen, stripes.x_px[at], np.nan)
     product = np.where(np.isnan(x_px), np.int16(NOTHING), profiles.product)
     # what lies on nothing that counts is left out: a StripeMap knows no point without a label
     x_px = np.where(product == NOTHING, np.nan, x_px)

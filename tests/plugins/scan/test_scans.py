@@ -43,6 +43,20 @@ def test_the_volume_of_a_frustum_is_its_own() -> None:
     assert volume(frustum()) == pytest.approx(TRUE_MM3, rel=2e-3)
 
 
+def test_a_stray_peak_that_was_left_out_stays_out_where_a_flank_is_followed() -> None:
+    """Of what is placed again with a moved calibration: its height was taken for that of the product."""
+    sim = frustum()
+    calibration, assembler, triangulator = true_calibration(sim), BeltMotion(), PinholePlane()
+    stripes, lines = stripes_of(sim, 1, 0.02)
+    profiles = assembler.label(assembler.place(stripes, lines, calibration, triangulator))
+    line, row = np.argwhere(profiles.seen & (profiles.product > 0))[500]
+    seen = profiles.seen.copy()
+    seen[line, row] = False
+    kept, _ = scan.placed_only(stripes, lines, replace(profiles, seen=seen), 0)
+    assert np.isnan(kept.x_px[line, row])
+    assert np.array_equal(np.isfinite(kept.x_px), seen)
+
+
 def test_one_per_cent_of_the_motion_is_one_per_cent_of_the_volume() -> None:
     sim = frustum()
     calibration = true_calibration(sim)
