@@ -52,9 +52,6 @@ _BESIDE, _TIMES_BESIDE = 3, 1.25
 """So many times those of the boundaries up to so far away come on top: specks make steps, and thin lines."""
 _STEP_SHARE, _STEP_MIN = 0.25, 0.05
 """Least step, of the stripes' grey level (the 99th percentile) and of white: noise is below."""
-_SPARSE, _SPARSE_SHARE = 4, 0.3
-"""Every fourth line is looked at first, and all only if these show a third of a join's steps: of 77 whole
-images none does, and of 311 joins that all lines show none is missed."""
 
 
 _RUN = 4
@@ -201,16 +198,15 @@ def check_joins(frame: Frame) -> None:
     brightest = 99 * some.size // 100
     bright = float(np.partition(some, brightest)[brightest])
     least = int(max(_STEP_SHARE * bright, _STEP_MIN * frame.white))
-    for lines, what in ((frame.pixels.T, "rows"), (frame.pixels, "columns")):
-        some = np.ascontiguousarray(lines[::_SPARSE])
-        few = _SPARSE_SHARE * _JOINED_SHARE * len(some)
-        if _steepest(some, least) <= few or max(map(np.max, _steep_steps(some, least))) <= few:
+    for axis, what in ((0, "rows"), (1, "columns")):
+        enough = _JOINED_SHARE * frame.pixels.shape[1 - axis]
+        may_be = _per_boundary(_steps(frame.pixels, axis, 1) > least, axis) > enough
+        if not may_be.any():  # nearly always, across the stripes
             continue
-        joined, alternate = _steep_steps(np.ascontiguousarray(lines), least)
-        beside = np.max([np.roll(joined, k) for k in range(-_BESIDE, _BESIDE + 1) if k], axis=0)
-        count = np.maximum(alternate, joined - _TIMES_BESIDE * beside)
+        joined, alternate = _steep_steps(frame.pixels, axis, least, _with_neighbours(may_be, _BESIDE))
+        count = np.maximum(alternate, joined - _TIMES_BESIDE * _most_beside(joined))
         place = int(count.argmax())
-        if count[place] > _JOINED_SHARE * len(lines):
+        if count[place] > enough:
             raise DataError(
                 f"{frame.name}: between the {what} {place} and {place + 1} the image breaks off, sharper "
                 "than any lens draws: lines are lost there, or a part is another frame's",
@@ -218,28 +214,62 @@ def check_joins(frame: Frame) -> None:
             )
 
 
-def _steepest(lines: NDArray[Any], least: int) -> int:
-    """Count the lines whose light changes by so much at the boundary where most do: no join has fewer."""
+def _steep_steps(
+    pixels: NDArray[Any], axis: int, least: int, wanted: NDArray[np.bool_]
+) -> tuple[Integers, Integers]:
+    """Count, at wanted boundaries along an axis, where light changes at once, and where to and fro."""
     import cv2
 
-    steep = cv2.absdiff(lines[:, :-1], lines[:, 1:]) > least
-    return int(cv2.reduce(steep.view(np.uint8), 0, cv2.REDUCE_SUM, dtype=cv2.CV_32S).max())
-
-
-def _steep_steps(lines: NDArray[Any], least: int) -> tuple[Integers, Integers]:
-    """Count, at each boundary between two pixels, lines whose light changes at once, and to and fro."""
-    import cv2
-
-    before = _REACH // 2 - 1
-    inside = np.s_[:, before : lines.shape[1] - _REACH // 2]
-    whole, most = np.ones((1, _REACH), np.uint8), np.ones((1, _REACH - 2), np.uint8)
-    step = cv2.absdiff(lines[:, :-1], lines[:, 1:])[inside]
-    change = cv2.dilate(lines, whole, anchor=(before, 0)) - cv2.erode(lines, whole, anchor=(before, 0))
-    to_and_fro = cv2.dilate(cv2.absdiff(lines[:, :-2], lines[:, 2:]), most, anchor=(before, 0))
+    before, after = _REACH // 2 - 1, _REACH // 2
+    wanted = wanted.copy()
+    wanted[:before], wanted[len(wanted) - before :] = False, False  # the image ends within their reach
+    needed = _with_neighbours(np.append(wanted, False), after)
+    some = np.compress(needed, pixels, axis=axis)
+    length = [1, 1]
+    length[axis] = _REACH
+    whole = np.ones(length, np.uint8)
+    length[axis] -= 2
+    most = np.ones(length, np.uint8)
+    anchor = (before, 0) if axis else (0, before)
+    step = _steps(some, axis, 1)
+    inside = np.s_[:-1] if axis == 0 else np.s_[:, :-1]
+    change = (cv2.dilate(some, whole, anchor=anchor) - cv2.erode(some, whole, anchor=anchor))[inside]
+    to_and_fro = cv2.dilate(_steps(some, axis, 2), most, anchor=anchor)
     steep = step > least
-    counts = np.zeros((2, lines.shape[1] - 1), np.int64)
-    at_once = change[inside] - step <= step // _AT_ONCE
-    for count, found in zip(counts, (at_once, to_and_fro[inside] <= step // _TO_AND_FRO), strict=True):
-        of_all = cv2.reduce((found & steep).view(np.uint8), 0, cv2.REDUCE_SUM, dtype=cv2.CV_32S)
-        count[inside[1].start : inside[1].stop] = of_all
+    at_once = steep & (change - step <= step // _AT_ONCE)
+    alternate = steep[inside] & (to_and_fro <= step[inside] // _TO_AND_FRO)
+    counts = np.zeros((2, len(wanted)), np.int64)
+    of_some = np.flatnonzero(wanted[needed[:-1]])
+    for count, found in zip(counts, (at_once, alternate), strict=True):
+        count[wanted] = _per_boundary(found, axis)[of_some]
     return counts[0], counts[1]
+
+
+def _most_beside(count: Integers) -> NDArray[np.float32]:
+    """Give the most that is counted at the boundaries up to `_BESIDE` away on either side."""
+    import cv2
+
+    ring = np.ones((1, 2 * _BESIDE + 1), np.uint8)
+    ring[0, _BESIDE] = 0
+    return np.asarray(cv2.dilate(count[None].astype(np.float32), ring)[0])
+
+
+def _steps(pixels: NDArray[Any], axis: int, far: int) -> NDArray[Any]:
+    """Give by how much each pixel differs from the one so far on along an axis."""
+    import cv2
+
+    one, other = (pixels[:-far], pixels[far:]) if axis == 0 else (pixels[:, :-far], pixels[:, far:])
+    return np.asarray(cv2.absdiff(one, other))
+
+
+def _per_boundary(found: NDArray[np.bool_], axis: int) -> Integers:
+    """Count what was found at each boundary between two pixels along an axis."""
+    import cv2
+
+    counted: Integers = cv2.reduce(found.view(np.uint8), 1 - axis, cv2.REDUCE_SUM, dtype=cv2.CV_32S)
+    return counted.ravel()
+
+
+def _with_neighbours(chosen: NDArray[np.bool_], far: int) -> NDArray[np.bool_]:
+    """Choose what lies up to so far from what is chosen, too."""
+    return np.convolve(chosen, np.ones(2 * far + 1), "same") > 0.5
