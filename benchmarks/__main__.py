@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, before numpy is imported
 
 BENCHMARKS = {
     "calibrate_images": "heights of pinhole-plane and block-linear from simulated images, against the truth",
