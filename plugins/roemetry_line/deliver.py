@@ -13,7 +13,7 @@ from roemetry.records.live import LineRow
 from roemetry_line.control import Control
 from roemetry_line.days import HourlyTidying
 from roemetry_line.line_file import Line, NamedOutlet
-from roemetry_line.log import log
+from roemetry_line.log import log, log_libraries
 from roemetry_line.outbox import Outbox
 from roemetry_line.process import alone, settle, until_asked
 
@@ -114,6 +114,7 @@ class Deliverer:
 
 def main() -> int:
     """Deliver the rows of the line file that the command line names."""
+    log_libraries()
     stop = until_asked()
     line = Line.load(Path(sys.argv[1]), with_recipes=False)
     outbox = Outbox(line.folder)

@@ -38,7 +38,7 @@ from roemetry_line.block_checks import BlockChecks
 from roemetry_line.exposures import Exposures
 from roemetry_line.laser_health import LaserHealth
 from roemetry_line.live_view import LiveView
-from roemetry_line.log import log
+from roemetry_line.log import log, log_libraries
 from roemetry_line.outbox import NewRow, Outbox
 from roemetry_line.process import alone, settle, until_asked
 from roemetry_line.rows import Taken, Where, notice_row, product_rows
@@ -571,6 +571,7 @@ def _fault(error: BaseException) -> str:
 
 def main() -> int:
     """Run the station that the command line names, of a line file."""
+    log_libraries()
     stop = until_asked()
     path, name = Path(sys.argv[1]), sys.argv[2]
     line = line_file.Line.load(path, with_recipes=False)
