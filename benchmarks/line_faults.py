@@ -424,14 +424,12 @@ class Rounds:
         if self.serve.process.poll() is None:
             self.serve.process.terminate()
             self.serve.process.wait(90)
-        self.receiver.stop()
-        for one in (self.camera, self.database):
-            if one is not None:
-                one.stop()
-        for one in self.subscribers.values():
-            one.stop()
-        if self.broker:
-            self.broker.stop()
+        around = (self.receiver, self.camera, self.database, *self.subscribers.values(), self.broker)
+        for one in around:
+            # what a round has just taken away cannot be stopped once more
+            with contextlib.suppress(OSError, subprocess.CalledProcessError):
+                if one is not None:
+                    one.stop()
 
     def judged(self) -> dict[str, int]:
         """Count what is missing, doubled or out of order."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
@@ -13,7 +14,7 @@ from roemetry.records.live import LineRow
 from roemetry_line.control import Control
 from roemetry_line.days import HourlyTidying
 from roemetry_line.line_file import Line, NamedOutlet
-from roemetry_line.log import log
+from roemetry_line.log import log, log_libraries
 from roemetry_line.outbox import Outbox
 from roemetry_line.process import alone, settle, until_asked
 
@@ -24,6 +25,9 @@ _REOPEN_S = (0.5, 1.0, 2.0)
 """How long a receiver that is not there is left alone, the first times and from then on, s."""
 _DRAIN_S = 5.0
 """How long, once asked to stop, rows that wait are still delivered, s; the others stay in the outbox."""
+_END_S = 12.0
+"""How long, once asked to stop, an outlet that is being opened, or hangs, is waited for, s: its rows stay in
+the outbox. `serve` would kill this process later."""
 _CARE_S = 1.0
 _PAUSE_S = 0.01
 """What stations that write get of the outbox between two steps of its pruning, s."""
@@ -57,6 +61,7 @@ class Deliverer:
                 outlet.line = self._control
                 with outlet.open() as deliver:
                     self._deliver_all(deliver)
+                break
             # Whatever an outlet raises, its rows wait in the outbox.
             except FAULTS as error:
                 said = (
@@ -94,8 +99,8 @@ class Deliverer:
     def _is_well(self) -> None:
         """Note that the receiver takes rows: one that can be connected to and takes none is not well."""
         if self.state != "connected":
-            if self._outbox.end_alarm(self.name, "outlet"):
-                log("info", "outlet", "the receiver takes rows again", outlet=self.name)
+            again = " again" if self._outbox.end_alarm(self.name, "outlet") else ""
+            log("info", "outlet", f"the receiver takes rows{again}", outlet=self.name)
             self.state, self._failures = "connected", 0
 
     def _over(self, *, nothing_waits: bool = False) -> bool:
@@ -114,6 +119,7 @@ class Deliverer:
 
 def main() -> int:
     """Deliver the rows of the line file that the command line names."""
+    log_libraries()
     stop = until_asked()
     line = Line.load(Path(sys.argv[1]), with_recipes=False)
     outbox = Outbox(line.folder)
@@ -131,7 +137,10 @@ def _deliver(line: Line, outbox: Outbox, stop: threading.Event) -> None:
         thread.start()
     settle()
     threading.Thread(target=_care, args=(line, outbox, workers, stop), daemon=True).start()
-    while any(thread.is_alive() for thread in threads) or (not threads and not stop.is_set()):
+    until_s = math.inf
+    while (any(thread.is_alive() for thread in threads) and time.monotonic() < until_s) or not stop.is_set():
+        if stop.is_set() and until_s == math.inf:
+            until_s = time.monotonic() + _END_S
         outbox.listen(_TICK_S)
         with news:
             news.notify_all()

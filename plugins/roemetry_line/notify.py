@@ -23,6 +23,7 @@ TimeoutStartSec=600
 WatchdogSec=20
 Restart=always
 RestartSec=2
+CPUWeight=1000
 KillMode=mixed
 TimeoutStopSec=60
 ProtectSystem=strict

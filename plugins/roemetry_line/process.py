@@ -8,7 +8,8 @@ import select
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -61,6 +62,17 @@ def settle() -> None:
     gc.collect()
     gc.freeze()
     sys.setswitchinterval(5e-4)
+
+
+def off_main_thread(work: Callable[[], None]) -> None:
+    """Do what measures in a thread, and raise what it raises.
+
+    In the main thread the limit on a stage's time (`time_limit`) takes SIGALRM, and gives it back as Python
+    knows it. But pylon has timers and a handler of its own for that signal, which Python does not know of:
+    the system's default is given back, and the next of pylon's timers ends the process.
+    """
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(work).result()
 
 
 def set_by(signals: Sequence[signal.Signals]) -> threading.Event:

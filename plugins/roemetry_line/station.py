@@ -1,9 +1,9 @@
 """One camera of a line, in a process of its own: take, spool, measure, put into the outbox.
 
-A thread takes frames and spools them; the main thread measures them in order and commits their rows.
-Between them is a queue of a few frames: when it is full the taking waits, so that nothing that was spooled
-is left unmeasured, and what the camera cannot keep meanwhile shows as a gap in its numbers. A third thread
-says of a frame whose time is up that it is late; a fourth looks whether the recipe has changed.
+A thread takes frames and spools them; another measures them in order and commits their rows. Between them is
+a queue of a few frames: when it is full the taking waits, so that nothing that was spooled is left
+unmeasured, and what the camera cannot keep meanwhile shows as a gap in its numbers. A third thread says of a
+frame whose time is up that it is late; a fourth looks whether the recipe has changed.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from roemetry_line.block_checks import BlockChecks
 from roemetry_line.exposures import Exposures
 from roemetry_line.laser_health import LaserHealth
 from roemetry_line.live_view import LiveView
-from roemetry_line.log import log
+from roemetry_line.log import log, log_libraries
 from roemetry_line.outbox import NewRow, Outbox
-from roemetry_line.process import alone, settle, until_asked
+from roemetry_line.process import alone, off_main_thread, settle, until_asked
 from roemetry_line.rows import Taken, Where, notice_row, product_rows
 
 LATENCY_MS = (5.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
@@ -571,13 +571,14 @@ def _fault(error: BaseException) -> str:
 
 def main() -> int:
     """Run the station that the command line names, of a line file."""
+    log_libraries()
     stop = until_asked()
     path, name = Path(sys.argv[1]), sys.argv[2]
     line = line_file.Line.load(path, with_recipes=False)
     outbox = Outbox(line.folder)
     with alone(line.folder, f"station-{name}", stop) as mine:
         if mine and not stop.is_set():
-            StationProcess(line, name, outbox, stop).run()
+            off_main_thread(StationProcess(line, name, outbox, stop).run)
     return 0
 
 

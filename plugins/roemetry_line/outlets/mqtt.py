@@ -75,7 +75,8 @@ class Mqtt(Outlet[MqttOptions]):
         try:
             client.connect(self.options.host, self.options.port, keepalive=10)
         except (OSError, ValueError) as error:
-            raise self._unreachable(str(error)) from error
+            why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+            raise self._unreachable(why) from error
         client.loop_start()
         try:
             self._wait(session, lambda: session.is_connected or session.refused)

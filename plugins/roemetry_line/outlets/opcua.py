@@ -11,7 +11,9 @@ modes: a line runs from its start to its stop.
 from __future__ import annotations
 
 import asyncio
+import gc
 import gzip
+import socket
 import tempfile
 import threading
 from collections.abc import Callable, Coroutine, Iterator, Sequence
@@ -25,13 +27,16 @@ from pydantic import Field, model_validator
 from roemetry.errors import MisfitError, OutputError
 from roemetry.records.live import LineControl, LineRow
 from roemetry.stages import Capabilities, Outlet, StageOptions
+from roemetry_line.process import settle
 
 _NODESET = Path(__file__).parent / "opc_ua" / "machine_vision.xml.gz"
 _MACHINE_VISION = "http://opcfoundation.org/UA/MachineVision"
 _OWN = "urn:roemetry:line"
 _RESULT_READY = 1024
 """Number of ResultReadyEventType in the nodeset."""
-_START_S, _TELL_S = 30.0, 10.0
+_START_S, _TELL_S = 120.0, 10.0
+"""So long the server may take to start, and to take rows, s. It starts in 2 s of a processor's time: what
+else is to be done on the machine can make half a minute of it."""
 _FOLLOW_S = 0.5
 _STUCK_S = 1.5
 """So long a client may leave events of its subscription waiting, s."""
@@ -99,9 +104,11 @@ class OpcUa(Outlet[OpcUaOptions]):
 
         system = _VisionSystem(self.options, self.line)
         try:
-            wait(system.start(), _START_S)
+            with _much_is_loaded():
+                wait(system.start(), _START_S)
             yield lambda rows: wait(system.tell(rows), _TELL_S)
         finally:
+            gc.unfreeze()  # else a server that has ended would be kept
             with suppress(OutputError):
                 wait(system.stop(), _TELL_S)
             loop.call_soon_threadsafe(loop.stop)
@@ -113,6 +120,21 @@ class OpcUa(Outlet[OpcUaOptions]):
             f"OPC UA server at {self.options.host}:{self.options.port}: {why}",
             hint="is the address this machine's, and the port free?",
         )
+
+
+@contextmanager
+def _much_is_loaded() -> Iterator[None]:
+    """Keep the collector from looking through the address space.
+
+    While its 550,000 objects are made that costs a good part of the time, and afterwards, again and again,
+    a quarter of a second in which no outlet delivers.
+    """
+    gc.disable()
+    try:
+        yield
+        settle()
+    finally:
+        gc.enable()
 
 
 class _VisionSystem:
@@ -128,6 +150,9 @@ class _VisionSystem:
     async def start(self) -> None:
         """Build the address space and listen."""
         from asyncua import Server, ua
+
+        # A port that is taken is told before the work, not after.
+        socket.create_server((self._options.host, self._options.port)).close()
 
         self._server = server = Server()
         await server.init()

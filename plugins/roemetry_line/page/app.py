@@ -72,6 +72,7 @@ class LinePage:
         self._state: dict[str, Any] = {}
         self._changed = asyncio.Condition()
         self._streams = 0
+        self._ended = False
 
     def app(self, hosts: list[str]) -> Starlette:
         """Make the application; `hosts` are the names under which it may be asked for."""
@@ -118,6 +119,12 @@ class LinePage:
                     self._changed.notify_all()
             await asyncio.sleep(_EVERY_S)
 
+    async def end(self) -> None:
+        """End the streams: who looks connects again, and sees that nobody answers."""
+        self._ended = True
+        async with self._changed:
+            self._changed.notify_all()
+
     # --- shown to everybody -----------------------------------------------------------------------------
 
     async def _page(self, _: Request) -> Response:
@@ -134,6 +141,8 @@ class LinePage:
                     # Who reads slowly misses states, and keeps nobody waiting.
                     async with self._changed:
                         await self._changed.wait()
+                    if self._ended:
+                        return
                     if self._state:
                         yield f"data: {json.dumps(self._state)}\n\n".encode()
             finally:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import socket
 from collections.abc import Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
 
+from roemetry.errors import OutputError
 from roemetry_line.outlets.opcua import OpcUa, OpcUaOptions
 from tests.plugins.line.test_outlets import free_port, row
 
@@ -289,3 +291,14 @@ def test_only_trusted_clients_that_encrypt_get_in(tmp_path) -> None:
         assert desk.chosen == [("one", "/r/cod/recipe.yaml", "OPC UA")]
         assert not ran(gets_in("stranger"))
         assert not ran(gets_in(None))
+
+
+def test_a_port_that_is_taken_is_told_before_anything_is_built(monkeypatch) -> None:
+    async def built(*_: Any) -> None:
+        raise AssertionError("the address space was built")
+
+    monkeypatch.setattr(asyncua.Server, "init", built)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        outlet = OpcUa(OpcUaOptions(port=other.getsockname()[1]))
+        with pytest.raises(OutputError, match="already in use"), outlet.open():
+            pass
