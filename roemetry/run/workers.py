@@ -8,13 +8,13 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from roemetry.errors import InterruptedRunError
-from roemetry.run.executors import Lost, Result, Task, results_of
+from roemetry.run.executors import Lost, Result, Task, Tasks, results_of
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -34,7 +34,7 @@ class Processes:
     jobs: int
 
     def in_order(
-        self, make: Callable[..., Callable[[Task], Result]], given: tuple[Any, ...], tasks: Sequence[Task]
+        self, make: Callable[..., Callable[[Task], Result]], given: tuple[Any, ...], tasks: Tasks[Task]
     ) -> Iterator[Result | Lost[Task]]:
         """See `Executor.in_order`; InterruptedRunError where a process died."""
         jobs = self.jobs

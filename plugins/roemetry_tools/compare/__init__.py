@@ -13,10 +13,11 @@ import typer
 from rich.console import Console
 
 from roemetry.calibrating.known_products import read_labels
-from roemetry.cli.options import next_folder
+from roemetry.cli.options import cluster_option, executor_of, next_folder
 from roemetry.cli.progress import progress
 from roemetry.errors import ConfigurationError
 from roemetry.io.files import write_whole
+from roemetry.run.executors import Executor
 from roemetry.stages.registry import discover
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.comparison import compare as compared_on
@@ -83,6 +84,14 @@ def compare(
         int, typer.Option("--folds", min=2, max=100, help="Folds for the choice among variants.")
     ] = 5,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of resampling and folds.")] = 1,
+    stop_early: Annotated[
+        bool,
+        typer.Option(
+            "--stop-early",
+            help="Measure a variant no further once another is nearer to the truth beyond doubt (the best "
+            "one is stopped with a probability of 1 % at most).",
+        ),
+    ] = False,
     jobs: Annotated[
         int,
         typer.Option(
@@ -92,6 +101,7 @@ def compare(
             help="Worker processes; the numbers are the same for any number, times aside.",
         ),
     ] = 1,
+    cluster: Annotated[str | None, cluster_option()] = None,
     sets: Annotated[
         list[str] | None,
         typer.Option(
@@ -110,11 +120,14 @@ def compare(
     Exit code: 0 all compared; 1 a variant could not be made or measured nothing (its row says why); 2 the
     recipe, the data set or the command line is wrong.
     """
+    executor = executor_of(cluster, jobs)
+    if cluster is not None:  # the workers stand in folders of their own
+        recipe, data = recipe.absolute(), [one.absolute() for one in data or ()]
     variants = make_variants(recipe, vary or (), sets=sets or (), registry=discover())
     base = variants[0].recipe
     assert base is not None
     true_labels = None if labels is None else read_labels(labels)
-    terms = Terms(tolerance, folds, seed)
+    terms = Terms(tolerance, folds, seed, stop_early)
     folder = out or next_folder(base.path, "-compare")
     given: list[Path | None] = list(data) if data else [None]
     names = ["" if one is None else one.resolve().name for one in given]
@@ -124,7 +137,7 @@ def compare(
     told = {}
     for name, one in zip(names, given, strict=True):
         into = folder / name if len(given) > 1 else folder
-        every[name] = _one_set(variants, Data(base, one, labels=true_labels), terms, jobs, into, as_json)
+        every[name] = _one_set(variants, Data(base, one, labels=true_labels), terms, executor, into, as_json)
         told[name] = json.loads((into / SUMMARY).read_text("utf-8"))
     across = across_sets(every)
     if len(given) > 1:
@@ -140,12 +153,14 @@ def compare(
 
 
 def _one_set(
-    variants: Sequence[Variant], data: Data, terms: Terms, jobs: int, folder: Path, as_json: bool
+    variants: Sequence[Variant], data: Data, terms: Terms, executor: Executor, folder: Path, as_json: bool
 ) -> Sequence[Compared]:
     """Compare on one data set, write its files, and show them."""
     began = datetime.now(UTC)
     with ItemsFile(folder) as items, progress("comparing", quiet=as_json) as shown:
-        compared = compared_on(variants, data, terms=terms, jobs=jobs, on_scored=items.add, on_progress=shown)
+        compared = compared_on(
+            variants, data, terms=terms, executor=executor, on_scored=items.add, on_progress=shown
+        )
     files = write_comparison(folder, compared, data, terms=terms, command=sys.argv[1:], began=began)
     if not as_json:
         _show(compared, terms, data.without_truth, files)

@@ -163,6 +163,11 @@ class Aggregate:
             for step, value in {**scored.seconds, "frame": sum(scored.seconds.values())}.items():
                 kept.setdefault(step, []).append(value)
 
+    @property
+    def values(self) -> Mapping[str, Mapping[str, PairedValue]]:
+        """What was measured until now: see `Figures.values`."""
+        return self._values
+
     def figures(self) -> Figures:
         """Sum up."""
         seconds = self._seconds or self._cold

@@ -145,12 +145,14 @@ class Shift(NamedTuple):
 class Terms:
     """What differences are judged by: means that differ by less than the tolerance are as good as equal.
 
-    Without a tolerance there is no verdict. Folds are those of the choice among variants.
+    Without a tolerance there is no verdict. Folds are those of the choice among variants. Early stopped are
+    those that are beaten beyond doubt.
     """
 
     tolerance_pct: float | None = None
     folds: int = 5
     seed: int = 1
+    stop_early: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,6 +33,7 @@ from roemetry_tools.compare.agreement import (
     recalls_of,
     reliability_of,
 )
+from roemetry_tools.compare.racing import Stopped
 from roemetry_tools.compare.variants import Variant
 
 
@@ -61,6 +62,13 @@ class Compared:
     variant: Variant
     figures: Figures | None
     standing: Standing = field(default_factory=Standing)
+    stopped: Stopped | None = None
+    """Why it was measured no further; None where it measured everything."""
+
+    @property
+    def status(self) -> str:
+        """``compared``, ``stopped`` early, or ``failed``."""
+        return "failed" if self.failure else "compared" if self.stopped is None else "stopped"
 
     @property
     def failure(self) -> str:
@@ -131,8 +139,11 @@ class Leader:
 
 
 def leader_of(compared: Sequence[Compared], terms: Terms) -> Leader | None:
-    """Find the best variant and the margin to the next; None where no two differ by a truth."""
-    whole = [(one.variant, one.figures) for one in compared if one.figures and not one.failure]
+    """Find the best variant and the margin to the next; None where no two differ by a truth.
+
+    Of those that measured everything.
+    """
+    whole = [(one.variant, one.figures) for one in compared if one.figures and one.status == "compared"]
     for name in QUANTITIES:
         known = [(v, {k: one for k, one in f.values[name].items() if one.true > 0}) for v, f in whole]
         shared = set.intersection(*(set(values) for _, values in known)) if known else set()
@@ -169,7 +180,7 @@ def _results(figures: Figures) -> tuple[object, ...]:
 
 def choices_of(compared: Sequence[Compared], terms: Terms) -> list[Choice]:
     """Choose the best variant by every figure that more than one of them has."""
-    whole = {one.variant.number: one.figures for one in compared if one.figures and not one.failure}
+    whole = {one.variant.number: one.figures for one in compared if one.figures and one.status == "compared"}
     found = [
         choose_by_error(name, {n: of.values[name] for n, of in whole.items() if of.pairs[name]}, terms)
         for name in QUANTITIES

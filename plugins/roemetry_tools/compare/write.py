@@ -110,8 +110,9 @@ def _variant(one: Compared) -> dict[str, Any]:
         "variant": variant.number,
         "name": variant.name,
         "settings": dict(variant.settings),
-        "status": "failed" if one.failure else "compared",
+        "status": one.status,
         "reason": one.failure,
+        "stopped": None if one.stopped is None else one.stopped._asdict(),
         "recipe_sha256": None if recipe is None else recipe.sha256,
         "calibration_sha256": None
         if recipe is None or recipe.calibration is None
