@@ -13,7 +13,7 @@ from roemetry.run.executors import Executor, Lost
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.stage_cache import CachedStages, StageCache
 from roemetry.run.workers import Processes
-from roemetry_tools.compare.aggregate import Aggregate
+from roemetry_tools.compare.aggregate import Aggregate, Figures
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.data import Data, Unit, as_taken, changed_file, labelled
 from roemetry_tools.compare.racing import Stopped, beaten, looks
@@ -38,32 +38,14 @@ def compare(
     order; `on_progress` with (acquisitions done, of how many).
     """
     terms = Terms() if terms is None else terms
-    recipes = [(variant.number, variant.recipe) for variant in variants if variant.recipe is not None]
-    aggregates = {number: Aggregate(recipe, data.without_truth) for number, recipe in recipes}
-    by_number = {variant.number: variant for variant in variants}
-    tasks = _Tasks(data, set(aggregates))
-    stopped: dict[int, Stopped] = {}
-    looking = looks()
-    next_look = next(looking)
-    on_progress(0, data.count)
-    results = (executor or Processes(1)).in_order(_Worker, (recipes, data.dataset, data.labels), tasks)
-    for done, found in enumerate(results, start=1):
-        if isinstance(found, Lost):
-            found = _lost(found, tasks.measured, data)
-        cold, every = found
-        for scored in every:
-            if scored.variant in tasks.measured:  # else it was handed out before the variant was stopped
-                aggregates[scored.variant].add(scored, cold=cold)
-                on_scored(by_number[scored.variant], scored)
-        if terms.stop_early and done == next_look:
-            next_look = next(looking)
-            values = {number: aggregates[number].values for number in tasks.measured}
-            beaten_now = beaten(values, len(recipes) - 1, done)
-            beaten_now.pop(variants[0].number, None)
-            stopped |= beaten_now
-            tasks.measured -= beaten_now.keys()
-        on_progress(done, data.count)
-    figures = {number: aggregate.figures() for number, aggregate in aggregates.items()}
+    figures, stopped = measure(
+        variants,
+        data,
+        stop_early=terms.stop_early,
+        executor=executor,
+        on_scored=on_scored,
+        on_progress=on_progress,
+    )
     base = figures.get(variants[0].number)
     return tuple(
         Compared(
@@ -75,6 +57,42 @@ def compare(
         for variant in variants
         for own in (figures.get(variant.number),)
     )
+
+
+def measure(
+    variants: Sequence[Variant],
+    data: Data,
+    *,
+    stop_early: bool = False,
+    executor: Executor | None = None,
+    on_scored: Callable[[Variant, Scored], None] = lambda variant, scored: None,
+    on_progress: Callable[[int, int], None] = lambda done, of: None,
+) -> tuple[dict[int, Figures], dict[int, Stopped]]:
+    """Give what each variant that has a recipe came to, and which of them were stopped; as `compare`."""
+    recipes = [(variant.number, variant.recipe) for variant in variants if variant.recipe is not None]
+    aggregates = {number: Aggregate(recipe, data.without_truth) for number, recipe in recipes}
+    by_number = {variant.number: variant for variant in variants}
+    tasks = _Tasks(data, set(aggregates))
+    stopped: dict[int, Stopped] = {}
+    looking = looks()
+    next_look = next(looking)
+    on_progress(0, data.count)
+    results = (executor or Processes(1)).in_order(_Worker, (recipes, data.dataset, data.labels), tasks)
+    for done, found in enumerate(results, start=1):
+        cold, every = _lost(found, tasks.measured, data) if isinstance(found, Lost) else found
+        for scored in every:
+            if scored.variant in tasks.measured:  # else it was handed out before the variant was stopped
+                aggregates[scored.variant].add(scored, cold=cold)
+                on_scored(by_number[scored.variant], scored)
+        if stop_early and done == next_look:
+            next_look = next(looking)
+            values = {number: aggregates[number].values for number in tasks.measured}
+            beaten_now = beaten(values, len(recipes) - 1, done)
+            beaten_now.pop(variants[0].number, None)
+            stopped |= beaten_now
+            tasks.measured -= beaten_now.keys()
+        on_progress(done, data.count)
+    return {number: aggregate.figures() for number, aggregate in aggregates.items()}, stopped
 
 
 Found = tuple[bool, list[Scored]]

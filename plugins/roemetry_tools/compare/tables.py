@@ -355,19 +355,20 @@ def first_lines_of(compared: Sequence[Compared], terms: Terms, without_truth: st
     return said
 
 
-_WORDS = {"visible_mm3": "visible volume", "true_mm3": "true volume", "mass_g": "weight"}
+WORDS = {"visible_mm3": "visible volume", "true_mm3": "true volume", "mass_g": "weight"}
+"""Of the quantities."""
 
 
 def _stopped(name: str, stopped: Stopped, names: Mapping[int, str]) -> str:
     return (
         f"`{name}` was stopped after {stopped.acquisitions} acquisitions: its mean absolute error of the "
-        f"{_WORDS[stopped.figure]} is {stopped.more_pct:.2f} percentage points more than that of "
+        f"{WORDS[stopped.figure]} is {stopped.more_pct:.2f} percentage points more than that of "
         f"`{names[stopped.by]}` on {stopped.specimens} products, beyond doubt"
     )
 
 
 def _led(leader: Leader) -> str:
-    what = _WORDS[leader.figure]
+    what = WORDS[leader.figure]
     value, (low, high) = leader.lead
     error = (
         f"mean absolute error of the {what} {leader.error_pct:.2f} %; `{leader.other.name}` has {value:.2f} "
