@@ -176,7 +176,8 @@ def _last_word(best: Trial, field: str, last: Trueness, compared: Sequence[Compa
         f"the {what} is {error_pct:.2f} %, that of the recipe as it is {before_pct:.2f} %"
     )
     (found,) = (one for one in compared if one.variant.number == best.variant.number)
-    if (shift := found.standing.nearer.get(field)) is not None:
+    shift = found.standing.nearer.get(field)
+    if shift is not None and math.isfinite(shift.interval.low):
         value, (low, high) = shift
         said += (
             f"; on products that both measured {value:+.2f} percentage points (95 % interval {low:+.2f} to "
