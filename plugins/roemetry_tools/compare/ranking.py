@@ -6,6 +6,7 @@ made again for each fold of the products from all the others, and judged on that
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
@@ -164,18 +165,25 @@ def leader_of(compared: Sequence[Compared], terms: Terms) -> Leader | None:
 def same_results(compared: Sequence[Compared]) -> list[tuple[Variant, Variant]]:
     """Give variants that measured exactly what an earlier one did, each with that one."""
     found: list[tuple[Variant, Variant]] = []
-    for place, one in enumerate(compared):
-        for earlier in compared[:place]:
-            a, b = one.figures, earlier.figures
-            if a and b and not one.failure and _results(a) == _results(b):
-                found.append((one.variant, earlier.variant))
-                break
+    first: dict[str, Variant] = {}
+    for one in compared:
+        if one.figures is not None and not one.failure:
+            earlier = first.setdefault(_results(one.figures), one.variant)
+            if earlier is not one.variant:
+                found.append((one.variant, earlier))
     return found
 
 
-def _results(figures: Figures) -> tuple[object, ...]:
-    estimates = {name: {k: one.estimate for k, one in of.items()} for name, of in figures.values.items()}
-    return estimates, {(one.product, one.given) for one in figures.graded}, figures.refused
+def _results(figures: Figures) -> str:
+    """Hash everything that was measured."""
+    whole = hashlib.sha256(repr(figures.refused).encode())
+    for quantity, values in figures.values.items():
+        whole.update(f"{quantity}\n".encode())
+        for name, value in values.items():
+            whole.update(f"{name}\0{value.estimate!r}\n".encode())
+    for graded in figures.graded:
+        whole.update(f"{graded.product}\0{graded.given}\n".encode())
+    return whole.hexdigest()
 
 
 def choices_of(compared: Sequence[Compared], terms: Terms) -> list[Choice]:
