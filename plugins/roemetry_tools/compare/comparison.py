@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, islice
 
 from roemetry.config.dataset import Dataset
 from roemetry.config.recipe import Recipe
@@ -16,6 +17,7 @@ from roemetry.run.workers import Processes
 from roemetry_tools.compare.aggregate import Aggregate, Figures
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.data import Data, Unit, as_taken, changed_file, labelled
+from roemetry_tools.compare.kept import Found, KeptScores
 from roemetry_tools.compare.racing import Stopped, beaten, looks
 from roemetry_tools.compare.ranking import Compared, rank_against
 from roemetry_tools.compare.score import Scored, score, unreadable
@@ -28,14 +30,16 @@ def compare(
     *,
     terms: Terms | None = None,
     executor: Executor | None = None,
+    kept: KeptScores | None = None,
     on_scored: Callable[[Variant, Scored], None] = lambda variant, scored: None,
     on_progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[Compared, ...]:
     """Compare variants of a recipe; the first is the recipe as it is, which is never stopped early.
 
-    Whatever the `executor`, by default this process, figures are the same, times aside. `on_scored` is called
-    with each variant and what it made of an acquisition, acquisitions in order and for each the variants in
-    order; `on_progress` with (acquisitions done, of how many).
+    Whatever the `executor`, by default this process, figures are the same, times aside. What was `kept` of a
+    comparison that was stopped is not measured again, and what is measured is kept there. `on_scored` is
+    called with each variant and what it made of an acquisition, acquisitions in order and for each the
+    variants in order; `on_progress` with (acquisitions done, of how many).
     """
     terms = Terms() if terms is None else terms
     figures, stopped = measure(
@@ -43,6 +47,7 @@ def compare(
         data,
         stop_early=terms.stop_early,
         executor=executor,
+        kept=kept,
         on_scored=on_scored,
         on_progress=on_progress,
     )
@@ -65,6 +70,7 @@ def measure(
     *,
     stop_early: bool = False,
     executor: Executor | None = None,
+    kept: KeptScores | None = None,
     on_scored: Callable[[Variant, Scored], None] = lambda variant, scored: None,
     on_progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[dict[int, Figures], dict[int, Stopped]]:
@@ -77,9 +83,13 @@ def measure(
     looking = looks()
     next_look = next(looking)
     on_progress(0, data.count)
+    before = iter(()) if kept is None else kept.found()
     results = (executor or Processes(1)).in_order(_Worker, (recipes, data.dataset, data.labels), tasks)
-    for done, found in enumerate(results, start=1):
+    # what comes now is made when it is wanted: after what was kept, the tasks are those that are left
+    for done, found in enumerate(chain(tasks.counted(before), results), start=1):
         cold, every = _lost(found, tasks.measured, data) if isinstance(found, Lost) else found
+        if kept is not None and done > tasks.kept:
+            kept.add((cold, every))
         for scored in every:
             if scored.variant in tasks.measured:  # else it was handed out before the variant was stopped
                 aggregates[scored.variant].add(scored, cold=cold)
@@ -95,10 +105,6 @@ def measure(
     return {number: aggregate.figures() for number, aggregate in aggregates.items()}, stopped
 
 
-Found = tuple[bool, list[Scored]]
-"""Whether its times hold what is done once, and what each variant made of an acquisition."""
-
-
 @dataclass(frozen=True, slots=True)
 class _Task:
     """An acquisition, and the numbers of the variants that are to measure it."""
@@ -108,16 +114,24 @@ class _Task:
 
 
 class _Tasks:
-    """The acquisitions, each for the variants that are `measured` still when it is handed out."""
+    """The acquisitions that are left, each for the variants that are `measured` when it is handed out."""
 
     def __init__(self, data: Data, measured: set[int]) -> None:
         self._data, self.measured = data, measured
+        self.kept = 0
+        """Acquisitions that were scored before."""
+
+    def counted(self, found: Iterable[Found]) -> Iterator[Found]:
+        """Give what was scored before, and count it."""
+        for one in found:
+            self.kept += 1
+            yield one
 
     def __len__(self) -> int:
-        return self._data.count
+        return self._data.count - self.kept
 
     def __iter__(self) -> Iterator[_Task]:
-        return (_Task(unit, frozenset(self.measured)) for unit in self._data.units())
+        return (_Task(unit, frozenset(self.measured)) for unit in islice(self._data.units(), self.kept, None))
 
 
 def _lost(lost: Lost[_Task], numbers: set[int], data: Data) -> Found:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from distributed import LocalCluster
 
+from roemetry.errors import InterruptedRunError, OutputError
 from roemetry.run.cluster import Cluster
 from roemetry.run.executors import Lost
 from roemetry.run.workers import Processes
@@ -17,6 +18,7 @@ from roemetry_tools.compare import racing
 from roemetry_tools.compare.agreement import PairedValue, Terms
 from roemetry_tools.compare.comparison import compare
 from roemetry_tools.compare.data import Data
+from roemetry_tools.compare.kept import KEPT, KeptScores
 from roemetry_tools.compare.racing import DOUBT, ERROR_MAX_PCT, beaten, capital, looks
 from roemetry_tools.compare.tables import flat
 from roemetry_tools.compare.variants import make_variants
@@ -112,3 +114,48 @@ def test_the_verb_says_what_was_stopped(dataset, tmp_path, monkeypatch, roemetry
     assert printed.startswith("winner: `recipe`: the others are beaten beyond doubt")
     assert "percentage points more than that of `recipe`" in printed
     assert ",stopped," in (tmp_path / "out" / "comparison.csv").read_text("utf-8")
+
+
+def test_a_comparison_that_was_stopped_goes_on_where_it_was(dataset, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(racing, "SPECIMENS_MIN", 2)
+    monkeypatch.setattr(racing, "DOUBT", 0.99)
+    density = "stages.weigher.options.density_g_per_cm3"
+    path = dataset(9)
+    variants = make_variants(path, [f"{density}=1.54,9"], registry=discover())
+    data, terms = Data(variants[0].recipe), Terms(stop_early=True)
+
+    class Stops:
+        def __init__(self, after: int) -> None:
+            self.after, self.asked = after, 0
+
+        def in_order(self, make, given, tasks):
+            worker, left = make(*given), len(tasks)
+            for task in tasks:
+                if self.asked == self.after:
+                    raise InterruptedRunError("the scheduler is gone")
+                self.asked += 1
+                yield worker(task)
+            assert self.asked == left
+
+    def compared(name: str, executor: Stops, resume: bool = False):
+        with (
+            ItemsFile(tmp_path / name, resume=resume) as file,
+            KeptScores(tmp_path / name, variants, data, terms, resume=resume) as kept,
+        ):
+            found = compare(variants, data, terms=terms, executor=executor, kept=kept, on_scored=file.add)
+        return [(one.stopped, one.figures.errors) for one in found]
+
+    whole = compared("whole", Stops(99))
+    with pytest.raises(InterruptedRunError):
+        compared("stopped", Stops(4))
+    with (tmp_path / "stopped" / KEPT).open("a", encoding="ascii") as file:
+        file.write("half a li")
+    with pytest.raises(OutputError, match="there is a comparison in this folder already"):
+        compared("stopped", Stops(99))
+    rest = Stops(99)
+    assert compared("stopped", rest, resume=True) == whole
+    assert rest.asked == 5
+    items = [(tmp_path / name / "items.jsonl").read_text("utf-8") for name in ("whole", "stopped")]
+    assert items[0] == items[1]
+    with pytest.raises(OutputError, match="of other variants, data or terms"):
+        KeptScores(tmp_path / "whole", variants[:2], data, terms, resume=True)
