@@ -64,7 +64,7 @@ class Processes:
             except BrokenProcessPool as error:
                 raise InterruptedRunError(
                     "a worker process died (killed by the system, perhaps for want of memory)",
-                    hint="what was measured is whole; go on with --resume and fewer --jobs",
+                    hint="what was done is whole; go on with fewer --jobs, with --resume if the verb has it",
                 ) from error
             finally:
                 pool.shutdown(cancel_futures=True)
