@@ -327,12 +327,7 @@ def first_lines_of(compared: Sequence[Compared], terms: Terms, without_truth: st
     """Write which variant leads, by how much and how certainly; then what need not have been compared."""
     leader = leader_of(compared, terms)
     if leader is not None:
-        said = [_led(leader)]
-        if leader.specimens < PRODUCTS_ENOUGH:
-            said.append(
-                f"warning: {leader.specimens} products; with fewer than {PRODUCTS_ENOUGH} differences and "
-                "intervals say little about other products"
-            )
+        said = [_led(leader), *warning_of(leader.specimens)]
     elif len(compared) < 2:
         said = ["no winner: there is one variant"]
     elif len(left := [one for one in compared if one.status == "compared"]) == 1 and len(left) < sum(
@@ -357,6 +352,16 @@ def first_lines_of(compared: Sequence[Compared], terms: Terms, without_truth: st
 
 WORDS = {"visible_mm3": "visible volume", "true_mm3": "true volume", "mass_g": "weight"}
 """Of the quantities."""
+
+
+def warning_of(specimens: int) -> list[str]:
+    """Warn of few products; nothing where there are enough."""
+    if specimens >= PRODUCTS_ENOUGH:
+        return []
+    return [
+        f"warning: {specimens} products; with fewer than {PRODUCTS_ENOUGH} differences and intervals say "
+        "little about other products"
+    ]
 
 
 def _stopped(name: str, stopped: Stopped, names: Mapping[int, str]) -> str:

@@ -27,7 +27,7 @@ from roemetry_tools.compare.comparison import compare
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.ranking import Compared
 from roemetry_tools.compare.score import Scored
-from roemetry_tools.compare.tables import WORDS
+from roemetry_tools.compare.tables import WORDS, warning_of
 from roemetry_tools.compare.variants import Space, Variant
 from roemetry_tools.compare.write import ItemsFile, write_comparison
 from roemetry_tools.optimise.search import Search, Trial, finalists, to_csv
@@ -184,4 +184,10 @@ def _last_word(best: Trial, field: str, last: Trueness, compared: Sequence[Compa
             f"{high:+.2f})"
         )
     assert best.variant.recipe is not None
-    return [said, "to use it: " + " ".join(f"--set {shlex.quote(text)}" for text in best.variant.recipe.sets)]
+    specimens = {} if found.figures is None else found.figures.values[field]
+    warning = warning_of(len({one.specimen for one in specimens.values()}))
+    return [
+        said,
+        *warning,
+        "to use it: " + " ".join(f"--set {shlex.quote(text)}" for text in best.variant.recipe.sets),
+    ]
