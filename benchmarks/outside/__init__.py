@@ -1,8 +1,9 @@
 """Rigs that another renderer made, taken from files to grades as a user would, against their truth.
 
-``python -m benchmarks outside [FOLDER ...] [--draws 50] [--rigs D E] [--jobs 1] [--extractors NAMES]
-[--chains NAMES] [--out FOLDER]``, and ``--again outside.json [outside.json ...] --out FOLDER``, which
-measures nothing and writes the page of several runs.
+``python -m benchmarks outside [FOLDER ...] [--draws 50] [--rigs D E] [--jobs 1] [--cluster ADDRESS]
+[--extractors NAMES] [--chains NAMES] [--out FOLDER]``, and
+``--again outside.json [outside.json ...] --out FOLDER``, which measures nothing and writes the page of
+several runs.
 
 A folder is a rig folder (with a ``truth.json``) or a folder of rig folders; left out: the one that
 ``ROEMETRY_RENDERED_DATA`` names, else ``../shared/rendered``. Each rig is copied into a temporary folder, the
@@ -52,13 +53,14 @@ import shutil
 import tempfile
 import time
 import traceback
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 from benchmarks.outside.reading import RigError, read_rig, rig_folders
 from benchmarks.outside.scoring import CHAINS, score_rig
 from benchmarks.outside.table import tables
+from roemetry.cli.options import executor_of
+from roemetry.run.executors import Lost
 
 ROOT = Path(__file__).resolve().parents[2]
 VARIABLE = "ROEMETRY_RENDERED_DATA"
@@ -72,6 +74,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, help="Monte Carlo draws; left out: linearised uncertainties")
     parser.add_argument("--rigs", nargs="+", help="only the rig folders of these names")
     parser.add_argument("--jobs", type=int, default=1, help="rigs at a time")
+    parser.add_argument("--cluster", help="dask scheduler to score on, or local")
     parser.add_argument("--extractors", nargs="*", default=["maximum-likelihood", "gaussian"])
     parser.add_argument("--chains", nargs="+", default=list(CHAINS), choices=CHAINS)
     parser.add_argument("--out", type=Path, help="folder for outside.json and outside.md")
@@ -90,10 +93,13 @@ def main() -> None:
         folders = [folder for folder in folders if folder.resolve().name in given.rigs]
     if not folders:
         raise SystemExit(f"no rig folder in {', '.join(map(str, given.folders or [default]))}")
-    jobs = [(folder, given.draws, given.extractors, given.chains) for folder in folders]
     begin = time.monotonic()
-    with ProcessPoolExecutor(given.jobs) as pool:
-        results = list((pool.map if given.jobs > 1 else map)(_scored, jobs))
+    asked = (given.draws, given.extractors, given.chains)
+    executor = executor_of(given.cluster, given.jobs)
+    results = [
+        {"rig": one.task.name, "fault": one.why} if isinstance(one, Lost) else one
+        for one in executor.in_order(_Scores, asked, [folder.absolute() for folder in folders])
+    ]
     _write(results, given.draws, given.out)
     print(f"{time.monotonic() - begin:.0f} s")
 
@@ -124,8 +130,17 @@ def _write(results: list[dict[str, Any]], draws: int | None, folder: Path | None
         (folder / "outside.md").write_text(text, encoding="utf-8")
 
 
-def _scored(job: tuple[Path, int | None, list[str], list[str]]) -> dict[str, Any]:
-    folder, draws, extractors, chains = job
+class _Scores:
+    """Scores a rig at a time."""
+
+    def __init__(self, draws: int | None, extractors: list[str], chains: list[str]) -> None:
+        self._asked = (draws, extractors, chains)
+
+    def __call__(self, folder: Path) -> dict[str, Any]:
+        return _scored(folder, *self._asked)
+
+
+def _scored(folder: Path, draws: int | None, extractors: list[str], chains: list[str]) -> dict[str, Any]:
     try:
         rig = read_rig(folder)
         with tempfile.TemporaryDirectory(prefix="roemetry-outside-") as made:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from roemetry.cli.options import out_option
+from roemetry.cli.options import cluster_option, executor_of, out_option
 
 if TYPE_CHECKING:
     from roemetry_study.certificate import Certificate
@@ -105,6 +105,11 @@ def accept(
     ],
     out: Out = None,
     key: Key = None,
+    jobs: Annotated[
+        int,
+        typer.Option("--jobs", "-j", min=1, help="Worker processes; the values are the same for any number."),
+    ] = 1,
+    cluster: Annotated[str | None, cluster_option()] = None,
     debug: Debug = False,
 ) -> None:
     """Test an instrument by artefacts against maximum permissible errors.
@@ -114,7 +119,9 @@ def accept(
     from roemetry_study.reports import of_acceptance
     from roemetry_study.study_files import read_acceptance
 
-    _tell(of_acceptance(read_acceptance(file), file), out, "acceptance", key)
+    file = file if cluster is None else file.absolute()  # the workers stand in folders of their own
+    made = of_acceptance(read_acceptance(file), file, executor_of(cluster, jobs))
+    _tell(made, out, "acceptance", key)
 
 
 @study.command()

@@ -6,15 +6,21 @@ import csv
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from roemetry.errors import ConfigurationError, DataError
 from roemetry.html.plots import in_words
 from roemetry.run.control_chart import BASELINE, limits_of, signals
+from roemetry.run.executors import Executor, Lost
 from roemetry.run.record import PROVENANCE, read_record
 from roemetry_study.certificate import Certificate, Table, hashed
 from roemetry_study.table import StudyTable, estimate_of
+
+if TYPE_CHECKING:
+    from roemetry.config.recipe import Recipe
+    from roemetry_study.acceptance import Artefact, Value
 
 _AIAG = "AIAG Measurement Systems Analysis, 4th edition, as published worked examples confirm it"
 
@@ -140,11 +146,26 @@ def of_classes(table: StudyTable, good: str) -> Certificate:
     )
 
 
-def of_acceptance(file: object, path: Path) -> Certificate:
+class _Measures:
+    """Measures artefacts by a recipe, an image at a time."""
+
+    def __init__(self, recipe: Recipe) -> None:
+        self._recipe = recipe
+
+    def __call__(self, task: tuple[Path, Artefact]) -> list[Value]:
+        from roemetry.calibrating.block_check import profiles_of
+        from roemetry_study.acceptance import measure
+
+        image, artefact = task
+        profiles, light = profiles_of(self._recipe, image)
+        view = None if self._recipe.calibration is None else self._recipe.calibration.view
+        return list(measure(profiles, artefact, view, light))
+
+
+def of_acceptance(file: object, path: Path, executor: Executor) -> Certificate:
     """Measure every artefact with the line's recipe, and decide."""
-    from roemetry.calibrating.block_check import profiles_of
     from roemetry.config.recipe import Recipe
-    from roemetry_study.acceptance import CHARACTERISTICS, Value, decide, measure, overall
+    from roemetry_study.acceptance import CHARACTERISTICS, decide, overall
     from roemetry_study.study_files import AcceptanceFile, artefact_of
 
     assert isinstance(file, AcceptanceFile)
@@ -153,6 +174,7 @@ def of_acceptance(file: object, path: Path) -> Certificate:
         raise DataError(f"{recipe.path}: there is no calibration to test")
     values: list[Value] = []
     rows: list[tuple[str | float, ...]] = []
+    tasks: list[tuple[Path, Artefact]] = []
     items = {"instrument": file.name, "recipe": f"{recipe.path.name}, {recipe.sha256}"}
     items["calibration"] = recipe.calibration.sha256
     for part in file.artefacts:
@@ -165,14 +187,17 @@ def of_acceptance(file: object, path: Path) -> Certificate:
         for image, digest in zip(images, hashed(images).values(), strict=True):
             if seen.setdefault(digest, image) != image:
                 raise DataError(f"{image}: is a copy of {seen[digest].name}: a copy is no repetition")
-            profiles, light = profiles_of(recipe, image)
-            for value in measure(profiles, artefact, recipe.calibration.view, light):
-                values.append(value)
-                rows.append(
-                    (image.name, CHARACTERISTICS[value.characteristic], value.what, value.measured_mm,
-                     value.calibrated_mm, value.error_mm, value.std_mm)
-                )  # fmt: skip
+            tasks.append((image, artefact))
             items[f"image {image.name}"] = digest
+    for (image, _), found in zip(tasks, executor.in_order(_Measures, (recipe,), tasks), strict=True):
+        if isinstance(found, Lost):
+            raise DataError(f"{image}: {found.why}")
+        values += found
+        rows += [
+            (image.name, CHARACTERISTICS[value.characteristic], value.what, value.measured_mm,
+             value.calibrated_mm, value.error_mm, value.std_mm)
+            for value in found
+        ]  # fmt: skip
     limits = {name: limit for name, limit in file.limits_mm.model_dump().items() if limit is not None}
     outcomes = decide(values, limits)
     head = (

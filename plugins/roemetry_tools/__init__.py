@@ -18,6 +18,7 @@ def roemetry_verbs() -> Iterable[VerbEntry]:
         ("init", "Write a folder to start from: recipe, rig, calibration, simulated images."),
         ("plan", "Predict what a rig will measure before it is built."),
         ("compare", "Compare variants of a recipe on the same data: trueness and time."),
+        ("optimise", "Search the options of a recipe for those nearest to the truth and fastest."),
         ("tune", "Adjust a recipe's options on a local web page and see at once what changes."),
         ("new-plugin", "Write an installable plugin package: a working stage and its tests."),
         ("doctor", "Say what is installed, and whether this machine gives the numbers it should."),

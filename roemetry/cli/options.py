@@ -37,7 +37,7 @@ def cluster_option() -> Any:
         "--cluster",
         metavar="ADDRESS",
         help="Do the work on a dask cluster instead: its scheduler's address, such as tcp://10.0.0.5:8786, "
-        "or local for one of --jobs processes on this machine; same record.",
+        "or local for one of --jobs processes on this machine; same results.",
     )
 
 

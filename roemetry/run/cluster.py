@@ -16,18 +16,18 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 from importlib.metadata import version
 from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any
 
 from roemetry.errors import ConfigurationError, InterruptedRunError, PluginError
-from roemetry.run.executors import Lost, Result, Task, results_of
+from roemetry.run.executors import Lost, Result, Task, Tasks, results_of
 
 LOCAL = "local"
 """The address of a cluster that is started on this machine for the run."""
@@ -63,7 +63,7 @@ class Cluster:
     """Processes of a local cluster."""
 
     def in_order(
-        self, make: Callable[..., Callable[[Task], Result]], given: tuple[Any, ...], tasks: Sequence[Task]
+        self, make: Callable[..., Callable[[Task], Result]], given: tuple[Any, ...], tasks: Tasks[Task]
     ) -> Iterator[Result | Lost[Task]]:
         """See `Executor.in_order`.
 
@@ -163,7 +163,7 @@ def _reachable(address: str) -> Iterator[None]:
     except (OSError, CancelledError) as error:
         raise InterruptedRunError(
             f"{address}: the cluster's scheduler is gone",
-            hint="what was measured is whole; when the scheduler is back, go on with --resume",
+            hint="what was done is whole; go on when it is back, with --resume if the verb has it",
         ) from error
 
 
@@ -189,7 +189,7 @@ def _refuse_other_software(client: Any) -> None:
         )
 
 
-def _in_order(client: Any, address: str, payload: Any, tasks: Sequence[Task]) -> Iterator[Any]:
+def _in_order(client: Any, address: str, payload: Any, tasks: Tasks[Task]) -> Iterator[Any]:
     """Keep a bounded window of chunks at work, and give their results in the order of the tasks."""
     waiting: deque[tuple[Any, list[Task]]] = deque()
     coming, together, threads, looked = iter(tasks), 1, 1, -math.inf
@@ -268,32 +268,42 @@ def _wait_for(client: Any, future: Any) -> None:
             if time.monotonic() - alone_since > _PATIENCE_S:
                 raise InterruptedRunError(
                     f"the cluster has had no worker for {_PATIENCE_S:.0f} s",
-                    hint="what was measured is whole; start workers, then go on with --resume",
+                    hint="what was done is whole; start workers and go on, with --resume if the verb has it",
                 ) from error
 
 
 _making = threading.Lock()
-"""Threads of a worker wait for the one that warms it."""
+"""Threads of a worker are warmed one after another: what the first one loads is there for the others."""
+
+
+class _Made(threading.local):
+    """What a thread of a worker does its tasks with, and from what it was made; nothing knows of others."""
+
+    payload: bytes | None = None
+    worker: Callable[[Any], Any] | None = None
+
+
+_made = _Made()
 
 
 def _work(payload: bytes, chunk: bytes) -> tuple[list[Any], float]:
     """Give the results of a chunk, and the mean time of a task, s; on a worker."""
-    with _making:
-        worker = _warm(payload)
+    if _made.worker is None or _made.payload != payload:
+        with _making:
+            _made.payload, _made.worker = payload, _warm(payload)
     tasks = pickle.loads(chunk)
     begin = time.perf_counter()
-    results = list(results_of(worker, tasks))
+    results = list(results_of(_made.worker, tasks))
     return results, (time.perf_counter() - begin) / len(tasks)
 
 
-@lru_cache(maxsize=1)
 def _warm(payload: bytes) -> Callable[[Any], Any]:
-    """Make what this worker does its tasks with: once for a run."""
+    """Make what a thread does its tasks with: once for a run."""
     software_sha256, make, given = pickle.loads(payload)
     if _sha256_of(software()) != software_sha256:
         raise PluginError(
             f"a worker on {platform.node()} that came later has other software than the run",
-            hint="take it out of the cluster, then go on with --resume",
+            hint="take it out of the cluster, and go on, with --resume if the verb has it",
         )
     worker: Callable[[Any], Any] = make(*given)
     return worker

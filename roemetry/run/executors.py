@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+Given = TypeVar("Given", covariant=True)
+
+
+class Tasks(Protocol[Given]):
+    """Tasks that are made as they are wanted; there are as many as their length says."""
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[Given]: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,9 +31,9 @@ class Executor(Protocol):
     """Shares out work; the results, and their order, do not depend on how."""
 
     def in_order(
-        self, make: Callable[..., Callable[[Task], Result]], given: tuple[Any, ...], tasks: Sequence[Task]
+        self, make: Callable[..., Callable[[Task], Result]], given: tuple[Any, ...], tasks: Tasks[Task]
     ) -> Iterator[Result | Lost[Task]]:
-        """Give ``make(*given)(task)`` for each task, in order; every process makes its own worker once.
+        """Give ``make(*given)(task)`` for each task, in order; each worker is given one task at a time.
 
         A worker with a method `ahead` is told the tasks that it will be given next.
 
@@ -33,7 +42,7 @@ class Executor(Protocol):
         ...
 
 
-def results_of(worker: Callable[[Task], Result], chunk: Sequence[Task]) -> Iterator[Result]:
+def results_of(worker: Callable[[Task], Result], chunk: Tasks[Task]) -> Iterator[Result]:
     """Give the results of tasks done one after another; a worker that fetches `ahead` is told them first."""
     ahead = getattr(worker, "ahead", None)
     if ahead is not None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from types import FrameType
 
 
@@ -17,15 +20,28 @@ class StageTimeout(BaseException):
 def time_limit(limit_s: float | None) -> Iterator[None]:
     """Raise `StageTimeout` in what runs within once it has taken `limit_s` seconds; None: no limit.
 
-    The system's timer does it, which Python has on Unix and in a process's main thread only: elsewhere there
-    is no limit. Compiled code is interrupted when it returns to Python.
+    In a process's main thread the system's timer does it, where there is one (not on Windows): it wakes what
+    sleeps or waits, too. In any other thread, such as those of a cluster's workers, a second thread does it:
+    what sleeps or waits there is interrupted when it returns. So is compiled code, in every thread.
     """
-    if (
-        limit_s is None
-        or not hasattr(signal, "setitimer")
-        or threading.current_thread() is not threading.main_thread()
-        or signal.getitimer(signal.ITIMER_REAL)[0]
-    ):
+    if limit_s is None:
+        yield
+    elif threading.current_thread() is threading.main_thread() and hasattr(signal, "setitimer"):
+        with _alarm(limit_s):
+            yield
+    else:
+        watch, thread = _watch(), threading.get_ident()
+        begun = watch.begin(thread, limit_s)
+        try:
+            yield
+        finally:
+            if begun:
+                watch.end(thread)
+
+
+@contextmanager
+def _alarm(limit_s: float) -> Iterator[None]:
+    if signal.getitimer(signal.ITIMER_REAL)[0]:  # somebody else's: it is not ours to set
         yield
         return
 
@@ -39,3 +55,54 @@ def time_limit(limit_s: float | None) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
+
+
+class _Watch:
+    """Raises `StageTimeout` in threads whose time is up, from a thread of its own."""
+
+    def __init__(self) -> None:
+        self._ends: dict[int, float] = {}
+        self._raised: set[int] = set()
+        self._looks_at = float("inf")
+        self._changed = threading.Condition()
+        threading.Thread(target=self._run, name="roemetry-time-limit", daemon=True).start()
+
+    def begin(self, thread: int, limit_s: float) -> bool:
+        """Give a thread so long from now; False where it has a limit already, which stays."""
+        with self._changed:
+            if thread in self._ends:
+                return False
+            self._ends[thread] = end = time.monotonic() + limit_s
+            if end < self._looks_at:  # else it looks early enough: most stages end long before
+                self._changed.notify()
+            return True
+
+    def end(self, thread: int) -> None:
+        """Take the limit away; what was raised and did not arrive never will."""
+        with self._changed:
+            self._ends.pop(thread, None)
+            if thread in self._raised:
+                self._raised.discard(thread)
+                _raise_in(thread, None)
+
+    def _run(self) -> None:
+        with self._changed:
+            while True:
+                now = time.monotonic()
+                for thread in [thread for thread, end in self._ends.items() if end <= now]:
+                    del self._ends[thread]
+                    self._raised.add(thread)
+                    _raise_in(thread, StageTimeout)
+                self._looks_at = min(self._ends.values(), default=float("inf"))
+                self._changed.wait(None if not self._ends else self._looks_at - now)
+
+
+def _raise_in(thread: int, error: type[BaseException] | None) -> None:
+    """Have a thread raise an error at its next step in Python; None: no longer."""
+    given = None if error is None else ctypes.py_object(error)
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), given)
+
+
+@cache
+def _watch() -> _Watch:
+    return _Watch()

@@ -8,13 +8,13 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from roemetry.errors import InterruptedRunError
-from roemetry.run.executors import Lost, Result, Task, results_of
+from roemetry.run.executors import Lost, Result, Task, Tasks, results_of
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -34,7 +34,7 @@ class Processes:
     jobs: int
 
     def in_order(
-        self, make: Callable[..., Callable[[Task], Result]], given: tuple[Any, ...], tasks: Sequence[Task]
+        self, make: Callable[..., Callable[[Task], Result]], given: tuple[Any, ...], tasks: Tasks[Task]
     ) -> Iterator[Result | Lost[Task]]:
         """See `Executor.in_order`; InterruptedRunError where a process died."""
         jobs = self.jobs
@@ -64,7 +64,7 @@ class Processes:
             except BrokenProcessPool as error:
                 raise InterruptedRunError(
                     "a worker process died (killed by the system, perhaps for want of memory)",
-                    hint="what was measured is whole; go on with --resume and fewer --jobs",
+                    hint="what was done is whole; go on with fewer --jobs, with --resume if the verb has it",
                 ) from error
             finally:
                 pool.shutdown(cancel_futures=True)

@@ -19,6 +19,7 @@ from roemetry.run.batch import run_recipe
 from roemetry.run.cluster import Cluster
 from roemetry.run.executors import Lost
 from roemetry.run.record import RECORD, read_record
+from roemetry_paper.zero_order_hold import ZeroOrderHold
 
 THREADS = {"processes": False, "protocol": "tcp", "threads_per_worker": 1, "dashboard_address": ":0"}
 
@@ -90,6 +91,21 @@ def test_a_task_that_kills_its_workers_is_lost_and_no_other(monkeypatch: pytest.
     (lost,) = (one for one in found if isinstance(one, Lost))
     assert lost.task == 5
     assert [one for one in found if one is not lost] == [3 * number for number in range(40) if number != 5]
+
+
+def test_a_stage_that_hangs_ends_on_a_worker_too(
+    line: Any, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def hangs(*_: Any, **__: Any) -> None:
+        while True:
+            pass
+
+    monkeypatch.setattr(ZeroOrderHold, "estimate", hangs)
+    recipe = Recipe.load(line(2), sets=["stage_timeout_s=0.3"])
+    assert run_recipe(recipe, tmp_path / "out", executor=Cluster(address)).counts["failed"] == 2
+    for row in read_record(tmp_path / "out"):
+        assert "had not finished after 0.3 s" in row.absent["volume"].text
+        assert row.grade is not None
 
 
 def test_a_lost_image_is_one_failed_row(line: Any, tmp_path: Path) -> None:

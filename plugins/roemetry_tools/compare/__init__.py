@@ -13,14 +13,16 @@ import typer
 from rich.console import Console
 
 from roemetry.calibrating.known_products import read_labels
-from roemetry.cli.options import next_folder
+from roemetry.cli.options import cluster_option, executor_of, next_folder
 from roemetry.cli.progress import progress
-from roemetry.errors import ConfigurationError
+from roemetry.errors import ConfigurationError, InterruptedRunError
 from roemetry.io.files import write_whole
+from roemetry.run.executors import Executor
 from roemetry.stages.registry import discover
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.comparison import compare as compared_on
 from roemetry_tools.compare.data import Data
+from roemetry_tools.compare.kept import KEPT, KeptScores
 from roemetry_tools.compare.ranking import Compared
 from roemetry_tools.compare.tables import (
     across_sets,
@@ -83,6 +85,14 @@ def compare(
         int, typer.Option("--folds", min=2, max=100, help="Folds for the choice among variants.")
     ] = 5,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of resampling and folds.")] = 1,
+    stop_early: Annotated[
+        bool,
+        typer.Option(
+            "--stop-early",
+            help="Measure a variant no further once another is nearer to the truth beyond doubt (the best "
+            "one is stopped with a probability of 1 % at most).",
+        ),
+    ] = False,
     jobs: Annotated[
         int,
         typer.Option(
@@ -92,6 +102,10 @@ def compare(
             help="Worker processes; the numbers are the same for any number, times aside.",
         ),
     ] = 1,
+    cluster: Annotated[str | None, cluster_option()] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with a stopped comparison in --out.")
+    ] = False,
     sets: Annotated[
         list[str] | None,
         typer.Option(
@@ -110,11 +124,18 @@ def compare(
     Exit code: 0 all compared; 1 a variant could not be made or measured nothing (its row says why); 2 the
     recipe, the data set or the command line is wrong.
     """
+    if resume and out is None:
+        raise ConfigurationError(
+            "--resume needs --out", hint="name the folder of the comparison that was stopped"
+        )
+    executor = executor_of(cluster, jobs)
+    if cluster is not None:  # the workers stand in folders of their own
+        recipe, data = recipe.absolute(), [one.absolute() for one in data or ()]
     variants = make_variants(recipe, vary or (), sets=sets or (), registry=discover())
     base = variants[0].recipe
     assert base is not None
     true_labels = None if labels is None else read_labels(labels)
-    terms = Terms(tolerance, folds, seed)
+    terms = Terms(tolerance, folds, seed, stop_early)
     folder = out or next_folder(base.path, "-compare")
     given: list[Path | None] = list(data) if data else [None]
     names = ["" if one is None else one.resolve().name for one in given]
@@ -124,8 +145,18 @@ def compare(
     told = {}
     for name, one in zip(names, given, strict=True):
         into = folder / name if len(given) > 1 else folder
-        every[name] = _one_set(variants, Data(base, one, labels=true_labels), terms, jobs, into, as_json)
+        try:
+            every[name] = _one_set(
+                variants, Data(base, one, labels=true_labels), terms, executor, into, resume, as_json
+            )
+        except KeyboardInterrupt as stop:
+            raise InterruptedRunError(
+                f"stopped; what was scored is kept in {folder}",
+                hint=f"go on with --out {folder} --resume",
+            ) from stop
         told[name] = json.loads((into / SUMMARY).read_text("utf-8"))
+    for name in names:  # until then a comparison on several sets that is stopped goes on with all of them
+        (folder / name / KEPT if len(given) > 1 else folder / KEPT).unlink(missing_ok=True)
     across = across_sets(every)
     if len(given) > 1:
         write_whole(folder / "between.csv", across_to_csv(across))
@@ -140,12 +171,30 @@ def compare(
 
 
 def _one_set(
-    variants: Sequence[Variant], data: Data, terms: Terms, jobs: int, folder: Path, as_json: bool
+    variants: Sequence[Variant],
+    data: Data,
+    terms: Terms,
+    executor: Executor,
+    folder: Path,
+    resume: bool,
+    as_json: bool,
 ) -> Sequence[Compared]:
     """Compare on one data set, write its files, and show them."""
     began = datetime.now(UTC)
-    with ItemsFile(folder) as items, progress("comparing", quiet=as_json) as shown:
-        compared = compared_on(variants, data, terms=terms, jobs=jobs, on_scored=items.add, on_progress=shown)
+    with (
+        ItemsFile(folder, resume=resume) as items,
+        KeptScores(folder, variants, data, terms, resume=resume) as kept,
+        progress("comparing", quiet=as_json) as shown,
+    ):
+        compared = compared_on(
+            variants,
+            data,
+            terms=terms,
+            executor=executor,
+            kept=kept,
+            on_scored=items.add,
+            on_progress=shown,
+        )
     files = write_comparison(folder, compared, data, terms=terms, command=sys.argv[1:], began=began)
     if not as_json:
         _show(compared, terms, data.without_truth, files)

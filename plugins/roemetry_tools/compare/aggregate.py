@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry.config.recipe import Recipe
-from roemetry.records import ProductTruth, Reason
+from roemetry.records import Reason
 from roemetry.records.arrays import Floats
 from roemetry_tools.compare.agreement import Graded, PairedValue
+from roemetry_tools.compare.data import specimen_of
 from roemetry_tools.compare.score import Pair, Scored
 from roemetry_tools.compare.stripes import CentreScore, CodingScore
 
@@ -163,6 +164,11 @@ class Aggregate:
             for step, value in {**scored.seconds, "frame": sum(scored.seconds.values())}.items():
                 kept.setdefault(step, []).append(value)
 
+    @property
+    def values(self) -> Mapping[str, Mapping[str, PairedValue]]:
+        """What was measured until now: see `Figures.values`."""
+        return self._values
+
     def figures(self) -> Figures:
         """Sum up."""
         seconds = self._seconds or self._cold
@@ -204,7 +210,7 @@ class Aggregate:
         return tuple(Cause(code, count, self._texts[code]) for code, count in counter.most_common())
 
     def _add_pair(self, pair: Pair, product: str) -> None:
-        true, specimen = pair.true, _specimen(pair.true, product)
+        true, specimen = pair.true, specimen_of(pair.true, product)
         estimates = estimates_of(pair)
         for name in QUANTITIES:
             value = estimates[name]
@@ -254,15 +260,6 @@ class Aggregate:
 def columns_of(pairs: Pairs) -> tuple[Floats, Floats]:
     """(product,) estimates, and (product,) true values."""
     return np.array([pair.estimate for pair in pairs]), np.array([pair.true for pair in pairs])
-
-
-def _specimen(true: ProductTruth | None, product: str) -> str:
-    """Name the thing itself: by what the truth says of it, else every product is one of its own."""
-    figures = {} if true is None else true.figures
-    for name in ("specimen", "seed"):
-        if name in figures and math.isfinite(figures[name]):
-            return f"{name} {figures[name]:.0f} {'' if true is None else true.defect}".strip()
-    return product
 
 
 _WORDS = {

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from itertools import islice
-from multiprocessing import get_context
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain, islice
 
 from roemetry.config.dataset import Dataset
 from roemetry.config.recipe import Recipe
 from roemetry.errors import RoemetryError
 from roemetry.records import Acquisition, Reason, Truth
+from roemetry.run.executors import Executor, Lost
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.stage_cache import CachedStages, StageCache
-from roemetry_tools.compare.aggregate import Aggregate
+from roemetry.run.workers import Processes
+from roemetry_tools.compare.aggregate import Aggregate, Figures
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.data import Data, Unit, as_taken, changed_file, labelled
+from roemetry_tools.compare.kept import Found, KeptScores
+from roemetry_tools.compare.racing import Stopped, beaten, looks
 from roemetry_tools.compare.ranking import Compared, rank_against
 from roemetry_tools.compare.score import Scored, score, unreadable
 from roemetry_tools.compare.variants import Variant
@@ -27,60 +29,116 @@ def compare(
     data: Data,
     *,
     terms: Terms | None = None,
-    jobs: int = 1,
+    executor: Executor | None = None,
+    kept: KeptScores | None = None,
     on_scored: Callable[[Variant, Scored], None] = lambda variant, scored: None,
     on_progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[Compared, ...]:
-    """Compare variants of a recipe; the first is the recipe as it is.
+    """Compare variants of a recipe; the first is the recipe as it is, which is never stopped early.
 
-    `jobs` worker processes give the same figures whatever their number, times aside. `on_scored` is called
-    with each variant and what it made of an acquisition, acquisitions in order and for each the variants in
-    order; `on_progress` with (acquisitions done, of how many).
+    Whatever the `executor`, by default this process, figures are the same, times aside. What was `kept` of a
+    comparison that was stopped is not measured again, and what is measured is kept there. `on_scored` is
+    called with each variant and what it made of an acquisition, acquisitions in order and for each the
+    variants in order; `on_progress` with (acquisitions done, of how many).
     """
-    recipes = [(variant.number, variant.recipe) for variant in variants if variant.recipe is not None]
-    aggregates = {number: Aggregate(recipe, data.without_truth) for number, recipe in recipes}
-    by_number = {variant.number: variant for variant in variants}
-    on_progress(0, data.count)
-    for done, (cold, found) in enumerate(_judged(recipes, data, jobs), start=1):
-        for scored in found:
-            aggregates[scored.variant].add(scored, cold=cold)
-            on_scored(by_number[scored.variant], scored)
-        on_progress(done, data.count)
     terms = Terms() if terms is None else terms
-    figures = {number: aggregate.figures() for number, aggregate in aggregates.items()}
+    figures, stopped = measure(
+        variants,
+        data,
+        stop_early=terms.stop_early,
+        executor=executor,
+        kept=kept,
+        on_scored=on_scored,
+        on_progress=on_progress,
+    )
     base = figures.get(variants[0].number)
     return tuple(
-        Compared(variant, own, rank_against(own, None if variant is variants[0] else base, terms))
+        Compared(
+            variant,
+            own,
+            rank_against(own, None if variant is variants[0] else base, terms),
+            stopped.get(variant.number),
+        )
         for variant in variants
         for own in (figures.get(variant.number),)
     )
 
 
-Found = tuple[bool, list[Scored]]
+def measure(
+    variants: Sequence[Variant],
+    data: Data,
+    *,
+    stop_early: bool = False,
+    executor: Executor | None = None,
+    kept: KeptScores | None = None,
+    on_scored: Callable[[Variant, Scored], None] = lambda variant, scored: None,
+    on_progress: Callable[[int, int], None] = lambda done, of: None,
+) -> tuple[dict[int, Figures], dict[int, Stopped]]:
+    """Give what each variant that has a recipe came to, and which of them were stopped; as `compare`."""
+    recipes = [(variant.number, variant.recipe) for variant in variants if variant.recipe is not None]
+    aggregates = {number: Aggregate(recipe, data.without_truth) for number, recipe in recipes}
+    by_number = {variant.number: variant for variant in variants}
+    tasks = _Tasks(data, set(aggregates))
+    stopped: dict[int, Stopped] = {}
+    looking = looks()
+    next_look = next(looking)
+    on_progress(0, data.count)
+    before = iter(()) if kept is None else kept.found()
+    results = (executor or Processes(1)).in_order(_Worker, (recipes, data.dataset, data.labels), tasks)
+    # what comes now is made when it is wanted: after what was kept, the tasks are those that are left
+    for done, found in enumerate(chain(tasks.counted(before), results), start=1):
+        cold, every = _lost(found, tasks.measured, data) if isinstance(found, Lost) else found
+        if kept is not None and done > tasks.kept:
+            kept.add((cold, every))
+        for scored in every:
+            if scored.variant in tasks.measured:  # else it was handed out before the variant was stopped
+                aggregates[scored.variant].add(scored, cold=cold)
+                on_scored(by_number[scored.variant], scored)
+        if stop_early and done == next_look:
+            next_look = next(looking)
+            values = {number: aggregates[number].values for number in tasks.measured}
+            beaten_now = beaten(values, len(recipes) - 1, done)
+            beaten_now.pop(variants[0].number, None)
+            stopped |= beaten_now
+            tasks.measured -= beaten_now.keys()
+        on_progress(done, data.count)
+    return {number: aggregate.figures() for number, aggregate in aggregates.items()}, stopped
 
 
-def _judged(recipes: Sequence[tuple[int, Recipe]], data: Data, jobs: int) -> Iterator[Found]:
-    """Give what each acquisition came to, in order."""
-    if jobs == 1 or data.count < 2:
-        worker = _Worker(recipes, data.dataset, data.labels)
-        for unit in data.units():
-            yield worker(unit)
-        return
-    # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
-    with ProcessPoolExecutor(
-        min(jobs, data.count), get_context("spawn"), _start_worker, (recipes, data.dataset, data.labels)
-    ) as pool:
-        waiting: deque[Future[Found]] = deque()
-        coming = data.units()
-        try:
-            while True:
-                for unit in islice(coming, 4 * jobs - len(waiting)):
-                    waiting.append(pool.submit(_work, unit))
-                if not waiting:
-                    return
-                yield waiting.popleft().result()
-        finally:
-            pool.shutdown(cancel_futures=True)
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """An acquisition, and the numbers of the variants that are to measure it."""
+
+    unit: Unit
+    measured: frozenset[int]
+
+
+class _Tasks:
+    """The acquisitions that are left, each for the variants that are `measured` when it is handed out."""
+
+    def __init__(self, data: Data, measured: set[int]) -> None:
+        self._data, self.measured = data, measured
+        self.kept = 0
+        """Acquisitions that were scored before."""
+
+    def counted(self, found: Iterable[Found]) -> Iterator[Found]:
+        """Give what was scored before, and count it."""
+        for one in found:
+            self.kept += 1
+            yield one
+
+    def __len__(self) -> int:
+        return self._data.count - self.kept
+
+    def __iter__(self) -> Iterator[_Task]:
+        return (_Task(unit, frozenset(self.measured)) for unit in islice(self._data.units(), self.kept, None))
+
+
+def _lost(lost: Lost[_Task], numbers: set[int], data: Data) -> Found:
+    """Refuse, for every variant, an acquisition of which workers died."""
+    unit, why = lost.task.unit, Reason("process-died", lost.why)
+    truth = labelled(None if unit.item is None else Truth(unit.item.products), unit.reference.id, data.labels)
+    return False, [unreadable(number, unit.reference.id, why, truth) for number in sorted(numbers)]
 
 
 class _Worker:
@@ -99,7 +157,8 @@ class _Worker:
             self._ways.append((number, recipe, stages, Pipeline(recipe, stages=stages.stages)))
         self._cold = True
 
-    def __call__(self, unit: Unit) -> Found:
+    def __call__(self, task: _Task) -> Found:
+        unit = task.unit
         cold, self._cold = self._cold, False
         truth: Truth | None = None
         try:
@@ -108,22 +167,25 @@ class _Worker:
                 changed = changed_file(unit.item, unit.reference.files, self._dataset.folder)
                 if changed is not None:
                     why = Reason("changed", f"{changed}: has changed since its truth was written")
-                    return cold, self._refuse(unit, why, truth)
+                    return cold, self._refuse(task, why, truth)
                 truth = self._dataset.truth(unit.item)
             truth = labelled(truth, unit.reference.id, self._labels)
             sensor = None if self._dataset is None else self._dataset.sensor
             acquisition = as_taken(self._source.read(unit.reference), unit.item, sensor)
         except (RoemetryError, OSError) as error:
-            return cold, self._refuse(unit, Reason("unreadable", str(error)), truth)
-        return cold, self._judge(acquisition, truth)
+            return cold, self._refuse(task, Reason("unreadable", str(error)), truth)
+        return cold, self._judge(acquisition, truth, task.measured)
 
-    def _refuse(self, unit: Unit, why: Reason, truth: Truth | None) -> list[Scored]:
-        return [unreadable(number, unit.reference.id, why, truth) for number, *_ in self._ways]
+    def _refuse(self, task: _Task, why: Reason, truth: Truth | None) -> list[Scored]:
+        name = task.unit.reference.id
+        return [unreadable(number, name, why, truth) for number, *_ in self._ways if number in task.measured]
 
-    def _judge(self, acquisition: Acquisition, truth: Truth | None) -> list[Scored]:
+    def _judge(self, acquisition: Acquisition, truth: Truth | None, measured: frozenset[int]) -> list[Scored]:
         self._memory.clear()
         found = []
         for number, recipe, stages, pipeline in self._ways:
+            if number not in measured:
+                continue
             stages.start()
             trace = pipeline.trace(acquisition)
             seconds = {"source": trace.seconds.get("source", 0.0), **stages.seconds}
@@ -133,19 +195,3 @@ class _Worker:
                 score(number, trace, recipe, truth, memory=memory, seconds=seconds, turn_deg=turn_deg)
             )
         return found
-
-
-_worker: _Worker | None = None
-
-
-def _start_worker(
-    recipes: Sequence[tuple[int, Recipe]], dataset: Dataset | None, labels: Mapping[str, str]
-) -> None:
-    global _worker
-    _worker = _Worker(recipes, dataset, labels)
-
-
-def _work(unit: Unit) -> Found:
-    if _worker is None:
-        raise AssertionError("a worker process was not started by _start_worker")
-    return _worker(unit)

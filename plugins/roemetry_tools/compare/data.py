@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence, Set
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from roemetry.config.dataset import DESCRIPTION, ITEMS, STRIPES, Dataset, Item
 from roemetry.config.recipe import Recipe
@@ -43,6 +46,9 @@ class Data:
     ) -> None:
         self.without_truth = ""
         self.labels: Mapping[str, str] = {} if labels is None else labels
+        self.part = ""
+        """Which part of the acquisitions these are; "" for all."""
+        self._in_part: Set[str] | None = None
         self._references: Sequence[AcquisitionReference] | None = None
         if folder is not None:
             self.dataset: Dataset | None = Dataset(folder)
@@ -77,8 +83,37 @@ class Data:
                 hint=f"ids are those of the acquisitions, such as {min(ids)}, or of a product, {min(ids)}#1",
             )
 
+    def parted(self, held_out: float, seed: int) -> tuple[Data, Data]:
+        """Part the acquisitions in two at random, the second of them a share of `held_out` of all.
+
+        What is measured several times is in one part only. DataError where one part has nothing.
+        """
+        groups: dict[str, list[str]] = {}
+        for unit, group in zip(self.units(), _connected(list(self.units())), strict=True):
+            groups.setdefault(group, []).append(unit.reference.id)
+        shuffled = np.random.default_rng([seed, len(groups)]).permutation(sorted(groups)).tolist()
+        late: set[str] = set()
+        while shuffled and len(late) < round(held_out * self.count):
+            late |= set(groups[shuffled.pop()])
+        if not late or not shuffled:
+            raise DataError(
+                f"{self.count} acquisitions of {len(groups)} specimens are too few to hold some of them out",
+                hint="make the data set larger",
+            )
+        every = {unit.reference.id for unit in self.units()}
+        return self._of(every - late, "to choose by"), self._of(late, "held out")
+
+    def _of(self, names: Set[str], part: str) -> Data:
+        one = copy(self)
+        one._in_part, one.part, one.count = names, part, len(names)
+        return one
+
     def units(self) -> Iterator[Unit]:
         """Give the acquisitions in order, one at a time."""
+        wanted = self._in_part
+        return (unit for unit in self._every_unit() if wanted is None or unit.reference.id in wanted)
+
+    def _every_unit(self) -> Iterator[Unit]:
         if self._references is None:
             assert self.dataset is not None
             for item in self.dataset.items():
@@ -96,7 +131,8 @@ class Data:
 
     def described(self) -> dict[str, Any]:
         """Everything a reader must know of the data."""
-        told: dict[str, Any] = {"acquisitions": self.count, "without_truth": self.without_truth}
+        told: dict[str, Any] = {"acquisitions": self.count, "part": self.part}
+        told["without_truth"] = self.without_truth
         told["labels"] = sum("#" in name for name in self.labels)
         if self.dataset is None:
             return told | dict.fromkeys(_UNKNOWN)
@@ -127,6 +163,32 @@ class Data:
 
 _UNKNOWN = ("name", "folder", "licence", "made_with", "made_from", "notes", "turn_deg", "seeds", "sha256")
 """What is told of a data set, and null without one."""
+
+
+def specimen_of(true: ProductTruth | None, product: str) -> str:
+    """Name the thing itself: by what the truth says of it, else every product is one of its own."""
+    figures = {} if true is None else true.figures
+    for name in ("specimen", "seed"):
+        if name in figures and math.isfinite(figures[name]):
+            return f"{name} {figures[name]:.0f} {'' if true is None else true.defect}".strip()
+    return product
+
+
+def _connected(units: Sequence[Unit]) -> list[str]:
+    """Name for each acquisition the group of all that share a specimen with it, or with one that does."""
+    above: dict[str, str] = {}
+
+    def top(name: str) -> str:
+        while (up := above.setdefault(name, name)) != name:
+            above[name] = name = above[up]  # halves the way for the next one
+        return name
+
+    for unit in units:
+        own = f"of {unit.reference.id}"
+        top(own)
+        for number, true in enumerate(() if unit.item is None else unit.item.products, start=1):
+            above[top(own)] = top(specimen_of(true, f"{unit.reference.id}#{number}"))
+    return [top(f"of {unit.reference.id}") for unit in units]
 
 
 def changed_file(item: Item, files: Mapping[Any, Path], folder: Path) -> str | None:

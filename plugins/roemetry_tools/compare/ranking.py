@@ -6,6 +6,7 @@ made again for each fold of the products from all the others, and judged on that
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
@@ -33,6 +34,7 @@ from roemetry_tools.compare.agreement import (
     recalls_of,
     reliability_of,
 )
+from roemetry_tools.compare.racing import Stopped
 from roemetry_tools.compare.variants import Variant
 
 
@@ -61,6 +63,13 @@ class Compared:
     variant: Variant
     figures: Figures | None
     standing: Standing = field(default_factory=Standing)
+    stopped: Stopped | None = None
+    """Why it was measured no further; None where it measured everything."""
+
+    @property
+    def status(self) -> str:
+        """``compared``, ``stopped`` early, or ``failed``."""
+        return "failed" if self.failure else "compared" if self.stopped is None else "stopped"
 
     @property
     def failure(self) -> str:
@@ -131,8 +140,11 @@ class Leader:
 
 
 def leader_of(compared: Sequence[Compared], terms: Terms) -> Leader | None:
-    """Find the best variant and the margin to the next; None where no two differ by a truth."""
-    whole = [(one.variant, one.figures) for one in compared if one.figures and not one.failure]
+    """Find the best variant and the margin to the next; None where no two differ by a truth.
+
+    Of those that measured everything.
+    """
+    whole = [(one.variant, one.figures) for one in compared if one.figures and one.status == "compared"]
     for name in QUANTITIES:
         known = [(v, {k: one for k, one in f.values[name].items() if one.true > 0}) for v, f in whole]
         shared = set.intersection(*(set(values) for _, values in known)) if known else set()
@@ -153,23 +165,30 @@ def leader_of(compared: Sequence[Compared], terms: Terms) -> Leader | None:
 def same_results(compared: Sequence[Compared]) -> list[tuple[Variant, Variant]]:
     """Give variants that measured exactly what an earlier one did, each with that one."""
     found: list[tuple[Variant, Variant]] = []
-    for place, one in enumerate(compared):
-        for earlier in compared[:place]:
-            a, b = one.figures, earlier.figures
-            if a and b and not one.failure and _results(a) == _results(b):
-                found.append((one.variant, earlier.variant))
-                break
+    first: dict[str, Variant] = {}
+    for one in compared:
+        if one.figures is not None and not one.failure:
+            earlier = first.setdefault(_results(one.figures), one.variant)
+            if earlier is not one.variant:
+                found.append((one.variant, earlier))
     return found
 
 
-def _results(figures: Figures) -> tuple[object, ...]:
-    estimates = {name: {k: one.estimate for k, one in of.items()} for name, of in figures.values.items()}
-    return estimates, {(one.product, one.given) for one in figures.graded}, figures.refused
+def _results(figures: Figures) -> str:
+    """Hash everything that was measured."""
+    whole = hashlib.sha256(repr(figures.refused).encode())
+    for quantity, values in figures.values.items():
+        whole.update(f"{quantity}\n".encode())
+        for name, value in values.items():
+            whole.update(f"{name}\0{value.estimate!r}\n".encode())
+    for graded in figures.graded:
+        whole.update(f"{graded.product}\0{graded.given}\n".encode())
+    return whole.hexdigest()
 
 
 def choices_of(compared: Sequence[Compared], terms: Terms) -> list[Choice]:
     """Choose the best variant by every figure that more than one of them has."""
-    whole = {one.variant.number: one.figures for one in compared if one.figures and not one.failure}
+    whole = {one.variant.number: one.figures for one in compared if one.figures and one.status == "compared"}
     found = [
         choose_by_error(name, {n: of.values[name] for n, of in whole.items() if of.pairs[name]}, terms)
         for name in QUANTITIES

@@ -8,6 +8,7 @@ which measured product is which true one.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
@@ -90,6 +91,12 @@ class CentreScore:
     def __add__(self, other: CentreScore) -> CentreScore:
         return CentreScore(*(getattr(self, one.name) + getattr(other, one.name) for one in fields(self)))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel between processes with the bins that hold something: of one image a tenth of all."""
+        place = np.flatnonzero(self.counts).astype(np.int16)
+        figures = (self.true, self.matched, self.peaks, self.sum_px, self.sum_px2)
+        return _unpacked, (figures, place, self.counts[place])
+
     def quantile_px(self, share: float) -> float:
         """Give the error that this share of the errors lies below, px; NaN without errors."""
         if self.matched == 0:
@@ -105,6 +112,12 @@ class CentreScore:
     def robust_std_px(self) -> float:
         """Half of the middle 68 % of the errors, px."""
         return (self.quantile_px(0.84135) - self.quantile_px(0.15865)) / 2
+
+
+def _unpacked(figures: tuple[int, int, int, float, float], place: Integers, held: Integers) -> CentreScore:
+    counts = np.zeros(_BINS, np.int64)
+    counts[place] = held
+    return CentreScore(*figures, counts)
 
 
 def score_centres(peaks: Peaks, truth: StripeTruth) -> tuple[CentreScore, CentreScore]:

@@ -21,6 +21,7 @@ from roemetry.config.recipe_file import StageChoices
 from roemetry.html.plots import share
 from roemetry_tools.compare.aggregate import Errors
 from roemetry_tools.compare.agreement import Interval, Reliability, Shift, Terms
+from roemetry_tools.compare.racing import Stopped
 from roemetry_tools.compare.ranking import (
     PRODUCTS_ENOUGH,
     Compared,
@@ -55,9 +56,8 @@ def to_csv(compared: Sequence[Compared]) -> str:
     for one, row in zip(compared, rows, strict=True):
         variant = one.variant
         settings = [variant.settings.get(key, "") for key in axes]
-        status = "failed" if one.failure else "compared"
         cells = ["" if row[name] is None else row[name] for name in filled]
-        writer.writerow([variant.number, variant.name, *settings, status, one.failure, *cells])
+        writer.writerow([variant.number, variant.name, *settings, one.status, one.failure, *cells])
     return stream.getvalue()
 
 
@@ -327,16 +327,17 @@ def first_lines_of(compared: Sequence[Compared], terms: Terms, without_truth: st
     """Write which variant leads, by how much and how certainly; then what need not have been compared."""
     leader = leader_of(compared, terms)
     if leader is not None:
-        said = [_led(leader)]
-        if leader.specimens < PRODUCTS_ENOUGH:
-            said.append(
-                f"warning: {leader.specimens} products; with fewer than {PRODUCTS_ENOUGH} differences and "
-                "intervals say little about other products"
-            )
+        said = [_led(leader), *warning_of(leader.specimens)]
     elif len(compared) < 2:
         said = ["no winner: there is one variant"]
+    elif len(left := [one for one in compared if one.status == "compared"]) == 1 and len(left) < sum(
+        one.status != "failed" for one in compared
+    ):
+        said = [f"winner: `{left[0].variant.name}`: the others are beaten beyond doubt"]
     else:
         said = [f"no winner: {without_truth or 'no two variants differ on the same products'}"]
+    names = {one.variant.number: one.variant.name for one in compared}
+    said += [_stopped(one.variant.name, one.stopped, names) for one in compared if one.stopped is not None]
     for one in compared:
         said += [
             f"`{name}` was left out: it is the same recipe as `{one.variant.name}`"
@@ -349,8 +350,30 @@ def first_lines_of(compared: Sequence[Compared], terms: Terms, without_truth: st
     return said
 
 
+WORDS = {"visible_mm3": "visible volume", "true_mm3": "true volume", "mass_g": "weight"}
+"""Of the quantities."""
+
+
+def warning_of(specimens: int) -> list[str]:
+    """Warn of few products; nothing where there are enough."""
+    if specimens >= PRODUCTS_ENOUGH:
+        return []
+    return [
+        f"warning: {specimens} products; with fewer than {PRODUCTS_ENOUGH} differences and intervals say "
+        "little about other products"
+    ]
+
+
+def _stopped(name: str, stopped: Stopped, names: Mapping[int, str]) -> str:
+    return (
+        f"`{name}` was stopped after {stopped.acquisitions} acquisitions: its mean absolute error of the "
+        f"{WORDS[stopped.figure]} is {stopped.more_pct:.2f} percentage points more than that of "
+        f"`{names[stopped.by]}` on {stopped.specimens} products, beyond doubt"
+    )
+
+
 def _led(leader: Leader) -> str:
-    what = {"visible_mm3": "visible volume", "true_mm3": "true volume", "mass_g": "weight"}[leader.figure]
+    what = WORDS[leader.figure]
     value, (low, high) = leader.lead
     error = (
         f"mean absolute error of the {what} {leader.error_pct:.2f} %; `{leader.other.name}` has {value:.2f} "

@@ -80,10 +80,8 @@ class Variant:
     """Names of combinations that come to this recipe, too."""
 
 
-def make_variants(
-    path: Path, vary: Sequence[str], *, sets: Sequence[str] = (), registry: Registry
-) -> tuple[Variant, ...]:
-    """Make the recipe as it is, then every combination of what is varied, each once.
+class Space:
+    """Everything that a recipe may be changed to.
 
     Each of `vary` is ``KIND=name,name`` or ``key.key=value,value``; an option that a stage does not have is
     not varied with that stage. `sets` change all variants alike.
@@ -93,28 +91,48 @@ def make_variants(
     ConfigurationError
         The recipe as it is is wrong, or a kind, a name or a key of `vary` is.
     """
-    axes = read_axes(vary, registry)
-    base = Recipe.load(path, sets=sets, registry=registry)
-    _check_options(axes, base, registry)
-    own = {axis.key: _value(base, axis) for axis in axes}
-    variants = [Variant(0, AS_IT_IS, own, base)]
-    known: dict[object, int] = {base.sha256: 0}
-    for values in product(*(axis.values for axis in axes)):
-        every = list(zip(axes, values, strict=True))
+
+    def __init__(self, path: Path, vary: Sequence[str], *, sets: Sequence[str], registry: Registry) -> None:
+        self.axes = read_axes(vary, registry)
+        base = Recipe.load(path, sets=sets, registry=registry)
+        _check_options(self.axes, base, registry)
+        self._path, self._sets, self._registry, self._base = path, sets, registry, base
+        self.as_it_is = Variant(0, AS_IT_IS, {axis.key: _value(base, axis) for axis in self.axes}, base)
+
+    def variant(self, values: Sequence[str]) -> Variant:
+        """Make the variant of (axis,) values; its number is to be given."""
+        base, registry = self._base, self._registry
+        every = list(zip(self.axes, values, strict=True))
         uses = {axis.key: value for axis, value in every if axis.is_stage}
         chosen = [(axis, value) for axis, value in every if _applies(axis, uses, base, registry)]
         changed = [(axis, value) for axis, value in chosen if not _is_own(axis, value, base, registry)]
         kept = [text for axis, value in changed for text in _kept(axis, value, base, registry)]
-        variant = _variant(path, sets, chosen, changed, kept, registry)
-        same = tuple(variant.settings.items()) if variant.recipe is None else variant.recipe.sha256
+        return _variant(self._path, self._sets, chosen, changed, kept, registry)
+
+
+def make_variants(
+    path: Path, vary: Sequence[str], *, sets: Sequence[str] = (), registry: Registry
+) -> tuple[Variant, ...]:
+    """Make the recipe as it is, then every combination of what is varied, each once; see `Space`."""
+    space = Space(path, vary, sets=sets, registry=registry)
+    variants = [space.as_it_is]
+    known: dict[object, int] = {recipe_of(space.as_it_is): 0}
+    for values in product(*(axis.values for axis in space.axes)):
+        variant = space.variant(values)
+        same = recipe_of(variant)
         if same not in known:
             known[same] = len(variants)
             variants.append(replace(variant, number=len(variants)))
             continue
         first = variants[known[same]]
-        asked = ", ".join(f"{axis.key}={value}" for axis, value in every)
+        asked = ", ".join(f"{axis.key}={value}" for axis, value in zip(space.axes, values, strict=True))
         variants[first.number] = replace(first, left_out=(*first.left_out, asked))
     return tuple(variants)
+
+
+def recipe_of(variant: Variant) -> object:
+    """Give what two variants of one recipe have in common, and no others."""
+    return tuple(variant.settings.items()) if variant.recipe is None else variant.recipe.sha256
 
 
 def _applies(axis: Axis, uses: Mapping[str, str], base: Recipe, registry: Registry) -> bool:

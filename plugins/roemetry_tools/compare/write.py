@@ -17,6 +17,7 @@ from roemetry.io.files import LineFile, json_values, make_folder, write_whole
 from roemetry_tools.compare.aggregate import Figures, estimates_of
 from roemetry_tools.compare.agreement import RESAMPLES, Recall, Reliability, Shift, Terms
 from roemetry_tools.compare.data import Data
+from roemetry_tools.compare.kept import KEPT
 from roemetry_tools.compare.ranking import Compared, Standing, choices_of
 from roemetry_tools.compare.score import Pair, Scored
 from roemetry_tools.compare.tables import GROUPS, centre_figures, coding_shares, first_lines_of, to_csv
@@ -28,17 +29,23 @@ ITEMS, SUMMARY, TABLE, PAGE = "items.jsonl", "comparison.json", "comparison.csv"
 class ItemsFile:
     """``items.jsonl``: a line for each variant and product, written as it is scored.
 
-    The comparison's folder is created if needed; one that holds a comparison already is refused.
+    The comparison's folder is created if needed; one that holds a comparison already is refused, but for one
+    that was stopped, if it is to be gone on with: its lines are written anew from what was kept.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, resume: bool = False) -> None:
         make_folder(folder)
         path = folder / ITEMS
         if path.exists() and path.stat().st_size:
-            raise OutputError(
-                f"{folder}: there is a comparison in this folder already",
-                hint="choose another folder with --out",
-            )
+            stopped = (folder / KEPT).exists()
+            if not (resume and stopped):
+                raise OutputError(
+                    f"{folder}: there is a comparison in this folder already",
+                    hint="go on with it by --resume, or choose another folder with --out"
+                    if stopped
+                    else "choose another folder with --out",
+                )
+            path.unlink()
         self._file = LineFile(path)
 
     def __enter__(self) -> ItemsFile:
@@ -110,8 +117,9 @@ def _variant(one: Compared) -> dict[str, Any]:
         "variant": variant.number,
         "name": variant.name,
         "settings": dict(variant.settings),
-        "status": "failed" if one.failure else "compared",
+        "status": one.status,
         "reason": one.failure,
+        "stopped": None if one.stopped is None else one.stopped._asdict(),
         "recipe_sha256": None if recipe is None else recipe.sha256,
         "calibration_sha256": None
         if recipe is None or recipe.calibration is None

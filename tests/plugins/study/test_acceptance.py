@@ -6,8 +6,10 @@ from __future__ import annotations
 
 import json
 import math
+import pickle
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,8 +20,11 @@ from typer.testing import CliRunner
 from roemetry.cli.main import app
 from roemetry.errors import DataError
 from roemetry.records import NOTHING, Block, Profiles, SpherePlate, Staircase
+from roemetry.run.workers import Processes
 from roemetry_study.acceptance import Artefact, Value, decide, dispersion, fit_sphere, measure, overall
 from roemetry_study.certificate import Certificate, Table, new_key, software_sha256, verify, write
+from roemetry_study.reports import of_acceptance
+from roemetry_study.study_files import read_acceptance
 
 PLATE = SpherePlate("plate", 3, 2, 30.0, 20.0, 15.0, 0.01)
 
@@ -210,3 +215,16 @@ def test_the_commands_from_a_table_to_a_verified_page(tmp_path: Path) -> None:
     assert "enough for" in run(
         "study", "plan", "--part-std", "5", "--repeatability-std", "1", "--half-width", "90"
     )
+
+
+def test_the_certificate_is_the_same_wherever_images_are_measured() -> None:
+    class Elsewhere:
+        """Does the work with what was sent as bytes, as another machine would."""
+
+        def in_order(self, make: Any, of: Any, tasks: Any) -> Iterator[Any]:
+            make, of, tasks = pickle.loads(pickle.dumps((make, of, list(tasks))))
+            yield from map(make(*of), tasks)
+
+    path = Path("recipes/herring_roe/acceptance.yaml").absolute()
+    file = read_acceptance(path)
+    assert of_acceptance(file, path, Elsewhere()) == of_acceptance(file, path, Processes(1))

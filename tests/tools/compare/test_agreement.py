@@ -11,11 +11,13 @@ import pytest
 from scipy.stats import t
 
 from roemetry.html.plots import share
+from roemetry_tools.compare import agreement
 from roemetry_tools.compare.agreement import (
     Bootstrap,
     Graded,
     PairedValue,
     Terms,
+    _balanced,
     against_each_other,
     against_truth,
     agreement_of,
@@ -76,6 +78,27 @@ def test_the_same_seed_gives_the_same_interval_and_one_specimen_none() -> None:
     column = np.array([[1.0], [2.0], [4.0]])
     assert Bootstrap("abc", 3).interval(column, mean_of) == Bootstrap("abc", 3).interval(column, mean_of)
     assert all(map(math.isnan, Bootstrap("aaa", 3).interval(column, mean_of)))
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_many_products_give_the_intervals_that_drawing_each_gives(
+    alike: bool, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Errors with rare failures; or two classes, of which one has 20 products: no sum of normal errors."""
+    n = 4000
+    if alike:
+        rare = np.arange(n) < 20
+        right = rng.random(n) < np.where(rare, 0.5, 0.9)
+        columns = np.column_stack([right & rare, right & ~rare, rare, ~rare]).astype(float)
+    else:
+        columns = np.where(rng.random((n, 1)) < 0.02, 30.0, rng.normal(0.0, 2.0, (n, 1)))
+    statistic = _balanced if alike else mean_of
+    found = []
+    for many in (n, 100):
+        monkeypatch.setattr(agreement, "MANY", many)
+        found.append(Bootstrap([str(k) for k in range(n)], 1).interval(columns, statistic))
+    each, together = found
+    assert together == pytest.approx(each, abs=0.06 * (each.high - each.low))
 
 
 def test_limits_of_agreement_are_bland_and_altmans(rng: np.random.Generator) -> None:

@@ -95,17 +95,6 @@ def test_a_failing_variant_is_a_row_and_not_the_end(dataset, compared) -> None:
     assert raising.absent["visible_mm3"] == "nothing was given by the volume"
 
 
-def test_numbers_are_the_same_for_any_number_of_processes(dataset, tmp_path: Path) -> None:
-    path, found = dataset(4), []
-    for jobs in (1, 2):
-        variants = variants_of(path, "extractor=local-maximum")
-        with ItemsFile(tmp_path / f"out{jobs}") as file:
-            rows = compare(variants, Data(variants[0].recipe), jobs=jobs, on_scored=file.add)
-        told = [{k: v for k, v in flat(one).items() if not k.startswith("time_")} for one in rows]
-        found.append((told, (tmp_path / f"out{jobs}" / "items.jsonl").read_text("utf-8")))
-    assert found[0] == found[1]
-
-
 def test_a_changed_image_is_refused(dataset, compared) -> None:
     path = dataset()
     cv2.imwrite(str(path.parent / "images" / "p02.png"), np.zeros((240, 320), np.uint8))

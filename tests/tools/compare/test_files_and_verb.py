@@ -23,7 +23,13 @@ def test_verdicts_intervals_and_classes_reach_every_file(dataset, tmp_path, caps
     assert "warning: 6 products" in printed
     assert "weight beside the recipe's, tolerance 5 %: different" in printed
     told = json.loads((out / "comparison.json").read_text("utf-8"))
-    assert told["terms"] == {"tolerance_pct": 5.0, "folds": 2, "seed": 4, "resamples": 2000}
+    assert told["terms"] == {
+        "tolerance_pct": 5.0,
+        "folds": 2,
+        "seed": 4,
+        "stop_early": False,
+        "resamples": 2000,
+    }
     figures = told["variants"][1]["figures"]
     assert figures["to_recipe"]["weight"]["mean_pct"] == pytest.approx(100 / 3, abs=1e-6)
     assert figures["to_recipe"]["volume_visible"]["verdict"] == "equivalent"

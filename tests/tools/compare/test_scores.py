@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from roemetry.records import AMBIGUOUS, UNLABELLED, Frame, Peaks, Reason, StripeMap, StripeTruth
 from roemetry_tools.compare.aggregate import NOT_GRADED, classes_of, errors_of
 from roemetry_tools.compare.stripes import (
+    CentreScore,
     by_place,
     nearest,
     score_centres,
@@ -188,3 +190,14 @@ def test_classes_are_counted_and_none_is_not_right() -> None:
     assert classes.balanced_accuracy == pytest.approx((0.8 + 0.25) / 2)
     only = classes_of({("good", "good"): 3})
     assert math.isnan(only.balanced_accuracy)
+
+
+def test_a_score_is_the_same_after_its_journey_between_processes(rng: np.random.Generator) -> None:
+    counts = rng.poisson(0.1, 3000)
+    sent = CentreScore(9, 8, 7, 0.5, 0.25, counts)
+    came = pickle.loads(pickle.dumps(sent))
+    assert [getattr(came, name) for name in ("true", "matched", "peaks", "sum_px", "sum_px2")] == [
+        9, 8, 7, 0.5, 0.25,
+    ]  # fmt: skip
+    np.testing.assert_array_equal(came.counts, counts)
+    assert (came + came).quantile_px(0.3) == sent.quantile_px(0.3)

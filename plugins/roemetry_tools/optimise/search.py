@@ -1,0 +1,189 @@
+"""Search by Optuna: recipes are proposed in batches, from what was found of those before."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from roemetry.errors import ConfigurationError, PluginError
+from roemetry.run.executors import Executor
+from roemetry_tools.compare.aggregate import Figures
+from roemetry_tools.compare.comparison import measure
+from roemetry_tools.compare.data import Data
+from roemetry_tools.compare.variants import Axis, Space, Variant, recipe_of
+from roemetry_tools.optimise.trueness import Trueness
+
+_BATCH = 8
+"""Recipes that are tried at once: they share the steps that are the same, and the start of the workers."""
+_FINALISTS = 6
+"""Recipes of the front that go on to the held-out part, at most."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Trial:
+    """A recipe that was tried; number 0 is the recipe as it is."""
+
+    variant: Variant
+    error_pct: float
+    """Mean absolute error of all products whose truth is known, %; NaN where nothing was measured."""
+    missing: int
+    """Products among them that were not measured: each counts as an error of 100 %."""
+    time_ms: float
+    """Median time of an acquisition, without reading files."""
+    fault: str = ""
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it has both figures."""
+        return math.isfinite(self.error_pct) and math.isfinite(self.time_ms)
+
+
+class Search:
+    """Tries recipes of a space; the same seed and the same figures give the same proposals.
+
+    Raises
+    ------
+    ConfigurationError
+        A range is wrong.
+    PluginError
+        Optuna is not installed.
+    """
+
+    def __init__(self, space: Space, seed: int) -> None:
+        try:
+            import optuna
+        except ImportError as error:
+            raise PluginError(
+                "the search needs the module optuna",
+                hint="install it with `pip install 'roemetry[optimise]'`",
+            ) from error
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        self._space = space
+        self._failed = optuna.trial.TrialState.FAIL
+        self._domains = {axis.key: _domain(axis, optuna.distributions) for axis in space.axes}
+        # proposals of a batch are kept apart by taking those without a result yet for bad ones
+        sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
+        self._study = optuna.create_study(directions=["minimize", "minimize"], sampler=sampler)
+        self.trials: list[Trial] = []
+
+    def run(
+        self,
+        count: int,
+        data: Data,
+        field: str,
+        executor: Executor,
+        on_progress: Callable[[int, int], None] = lambda done, of: None,
+    ) -> Iterator[list[Trial]]:
+        """Try `count` recipes and the recipe as it is; give all that was tried after every batch.
+
+        `field` is that of the truth; `on_progress` is called with (proposals done, of how many).
+        """
+        known: dict[object, Trial] = {}
+        new = [self._space.as_it_is]
+        for first in range(0, count, _BATCH):
+            asked = [self._study.ask(self._domains) for _ in range(min(_BATCH, count - first))]
+            proposed = [
+                self._space.variant([_text(one.params[axis.key]) for axis in self._space.axes])
+                for one in asked
+            ]
+            seen = {*known, *map(recipe_of, new)}
+            for variant in proposed:
+                if recipe_of(variant) not in seen:
+                    seen.add(recipe_of(variant))
+                    new.append(replace(variant, number=len(known) + len(new)))
+            for trial in _tried(new, data, field, executor):
+                known[recipe_of(trial.variant)] = trial
+                self.trials.append(trial)
+            new = []
+            for one, variant in zip(asked, proposed, strict=True):
+                trial = known[recipe_of(variant)]
+                if trial.is_whole:
+                    self._study.tell(one, [trial.error_pct, trial.time_ms])
+                else:
+                    self._study.tell(one, state=self._failed)
+            on_progress(first + len(asked), count)
+            yield self.trials
+
+
+def _tried(variants: Sequence[Variant], data: Data, field: str, executor: Executor) -> Iterator[Trial]:
+    """Measure recipes on the same acquisitions; one that cannot be made is a trial with its reason."""
+    trueness = Trueness(field)
+    figures: dict[int, Figures] = {}
+    if any(variant.recipe is not None for variant in variants):
+        figures, _ = measure(variants, data, executor=executor, on_scored=trueness.add)
+    for variant in variants:
+        found = figures.get(variant.number)
+        if found is None:
+            yield Trial(variant, math.nan, 0, math.nan, variant.fault)
+            continue
+        fault = f"no acquisition was measured: {found.causes[0].text}" if found.failed else ""
+        error_pct, missing = trueness.of(variant.number)
+        yield Trial(
+            variant,
+            math.nan if found.failed else error_pct,
+            missing,
+            1000.0 * found.seconds["frame"].median if "frame" in found.seconds else math.nan,
+            fault,
+        )
+
+
+def front_of(trials: Sequence[Trial]) -> list[Trial]:
+    """Give those that no other one beats in error or time without being worse in the other; nearest first."""
+    front: list[Trial] = []
+    for one in sorted(filter(lambda one: one.is_whole, trials), key=lambda one: (one.error_pct, one.time_ms)):
+        if not front or one.time_ms < front[-1].time_ms:
+            front.append(one)
+    return front
+
+
+def finalists(trials: Sequence[Trial]) -> list[Trial]:
+    """Give the nearest of the front, the fastest, and some that lie evenly between; nearest first."""
+    front = front_of(trials)
+    most = min(len(front), _FINALISTS)
+    places = [round(k * (len(front) - 1) / (most - 1)) for k in range(most)] if most > 1 else range(most)
+    return [front[place] for place in places]
+
+
+def to_csv(trials: Sequence[Trial], axes: Sequence[Axis]) -> str:
+    """Write a line for each recipe that was tried."""
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    head = ["trial", "name", *(f"set {axis.key}" for axis in axes)]
+    writer.writerow([*head, "error_pct", "missing", "time_ms", "front", "reason"])
+    front = {one.variant.number for one in front_of(trials)}
+    for one in trials:
+        variant = one.variant
+        settings = [variant.settings.get(axis.key, "") for axis in axes]
+        figures = ["" if math.isnan(value) else value for value in (one.error_pct, one.missing, one.time_ms)]
+        on_front = str(variant.number in front).lower()
+        writer.writerow([variant.number, variant.name, *settings, *figures, on_front, one.fault])
+    return stream.getvalue()
+
+
+def _domain(axis: Axis, distributions: Any) -> Any:
+    """Read ``LOW..HIGH``, ``LOW..HIGH:log`` or a choice."""
+    if len(axis.values) > 1 or ".." not in axis.values[0]:
+        return distributions.CategoricalDistribution(axis.values)
+    text, colon, scale = axis.values[0].partition(":")
+    low, _, high = text.partition("..")
+    for number, made in ((int, distributions.IntDistribution), (float, distributions.FloatDistribution)):
+        try:
+            ends: tuple[Any, Any] = number(low), number(high)
+        except ValueError:
+            continue
+        if ends[0] < ends[1] and scale in ("", "log") and (not colon or ends[0] > 0):
+            return made(*ends, log=bool(colon))
+    raise ConfigurationError(
+        f"--vary {axis.key}={axis.values[0]}: expected LOW..HIGH, LOW below HIGH, "
+        "or LOW..HIGH:log with both above 0",
+        hint="whole numbers are tried if both ends are whole, as in 5..60; otherwise write 5.0..60",
+    )
+
+
+def _text(value: object) -> str:
+    """Write a proposed value as on the command line; six digits are finer than any option."""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
