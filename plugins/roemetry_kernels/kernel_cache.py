@@ -87,7 +87,7 @@ class _AllSources:
         _check_writable(Path(self.get_cache_path()))  # type: ignore[attr-defined]
 
     def get_source_stamp(self) -> str:
-        """Return the hash of the file and of all that it imports; the folder it lies in counts for nothing."""
+        """Return the hash of the file and of all that it imports, wherever it lies."""
         return digest(self.source)
 
     def get_disambiguator(self) -> str:
