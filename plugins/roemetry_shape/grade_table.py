@@ -12,6 +12,7 @@ may share cells only if one holds the other. More than `CELLS_MAX` cells are ref
 
 from __future__ import annotations
 
+import difflib
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -111,6 +112,12 @@ class GradeTableOptions(StageOptions):
         )
         named = {name for row in self.classes for name in row.limits}
         found += [(("std", name), "no class has a limit on it") for name in self.std if name not in named]
+        found += [
+            (("classes", number, "limits", name), f"no stage measures this; did you mean `{meant}`?")
+            for number, row in enumerate(self.classes)
+            for name in row.limits
+            if (meant := _misspelt(name))
+        ]
         if found:
             raise MisfitError(*found)
         return self
@@ -244,6 +251,15 @@ def _not_guarded(found: Quantities, factor: float) -> tuple[Reason, ...]:
 _AIR_WEIGHED = "visible-taken-for-true"
 """Reason of a weight that counts the air below the product, which no uncertainty of it holds."""
 WEIGHT, VISIBLE, TRUE = "weight_g", "visible_volume_cm3", "true_volume_cm3"
+
+
+def _misspelt(name: str) -> str:
+    """Name the volume or weight that a name is a slip for; "" where it is none.
+
+    Names of features are the plugins' own, and known only once a product was measured.
+    """
+    close = difflib.get_close_matches(name, (WEIGHT, VISIBLE, TRUE), n=1, cutoff=0.85)
+    return close[0] if close and close[0] != name else ""
 
 
 def needed_for(name: str) -> str:

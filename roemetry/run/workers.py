@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from roemetry.errors import InterruptedRunError
+from roemetry.errors import ConfigurationError, InterruptedRunError
 from roemetry.run.executors import Lost, Result, Task, Tasks, results_of
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
+    from multiprocessing.synchronize import Event
 
 _CHUNK_S = 0.03
 """Work that is handed to a process at once, s: long beside the handing over, too short to notice."""
@@ -36,17 +37,24 @@ class Processes:
     def in_order(
         self, make: Callable[..., Callable[[Task], Result]], given: tuple[Any, ...], tasks: Tasks[Task]
     ) -> Iterator[Result | Lost[Task]]:
-        """See `Executor.in_order`; InterruptedRunError where a process died."""
+        """See `Executor.in_order`; InterruptedRunError where one died, ConfigurationError where none began."""
         jobs = self.jobs
         if jobs == 1 or len(tasks) < 2:
             yield from results_of(make(*given), tasks)
             return
         from concurrent.futures import ProcessPoolExecutor
         from concurrent.futures.process import BrokenProcessPool
-        from multiprocessing import get_context
+        from multiprocessing import current_process, get_context
 
+        if getattr(current_process(), "_inheriting", False):
+            # A worker reads the caller's script before anything else, and this one runs again there: the
+            # parent says so, once; Python itself would print its own explanation from every worker.
+            raise SystemExit(1)
         # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
-        with ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn"), _start, (make, given)) as pool:
+        spawn = get_context("spawn")
+        has_begun = spawn.Event()
+        begun_with = (has_begun, make, given)
+        with ProcessPoolExecutor(min(jobs, len(tasks)), spawn, _start, begun_with) as pool:
             waiting: deque[Future[tuple[list[Any], float]]] = deque()
             coming = iter(tasks)
             together = 1
@@ -62,6 +70,13 @@ class Processes:
                     together = min(_CHUNK_MAX, 1 + int(_CHUNK_S / max(slowest_s, 1e-6)))
                     yield from results
             except BrokenProcessPool as error:
+                if not has_begun.is_set():
+                    raise ConfigurationError(
+                        "no worker process could begin: each first reads the script that started it, and "
+                        "that failed or began the same work again",
+                        hint="put what the script does, not its imports and functions, under "
+                        '`if __name__ == "__main__":`, or use jobs=1',
+                    ) from None
                 raise InterruptedRunError(
                     "a worker process died (killed by the system, perhaps for want of memory)",
                     hint="what was done is whole; go on with fewer --jobs, with --resume if the verb has it",
@@ -74,8 +89,9 @@ _worker: Callable[[Any], Any] | None = None
 """What this process does its tasks with; the parent has none."""
 
 
-def _start(make: Callable[..., Callable[[Any], Any]], given: tuple[Any, ...]) -> None:
+def _start(has_begun: Event, make: Callable[..., Callable[[Any], Any]], given: tuple[Any, ...]) -> None:
     global _worker
+    has_begun.set()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # ^C is the parent's to handle
     sys.stdout = sys.stderr  # what a stage prints is no part of what the parent prints, such as --json
     threading.Thread(target=_end_with_parent, daemon=True).start()

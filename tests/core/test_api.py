@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import pickle
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,6 +31,29 @@ def test_running_gives_the_rows_of_the_record_whatever_the_jobs(line, tmp_path: 
     assert rows
     for jobs in (1, 2):
         assert [row.to_json() for row in recipe.run(jobs=jobs)] == rows
+
+
+UNGUARDED = """
+import operator
+
+from roemetry.run.workers import Processes
+
+print(list(Processes(2).in_order(operator.attrgetter, ("real",), (1, 2, 3))))
+"""
+
+
+def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(UNGUARDED, encoding="utf-8")
+    ran = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
+    assert ran.returncode == 1
+    assert ran.stderr.count("Traceback") == 1
+    assert 'put what the script does, not its imports and functions, under `if __name__ == "__main__":`' in (
+        ran.stderr
+    )
+    guarded = UNGUARDED.replace("print", 'if __name__ == "__main__":\n    print')
+    script.write_text(guarded, encoding="utf-8")
+    assert subprocess.run([sys.executable, str(script)], capture_output=True, check=True).stdout == b"[1, 2, 3]\n"
 
 
 def test_an_array_measures_as_its_file_does(line: Callable[..., Path]) -> None:

@@ -179,6 +179,7 @@ def table(*classes: tuple[str, dict[str, dict[str, float]]], **more: Any) -> dic
         ),
         (table(("A", {"weight_g": {"at_least": 9, "below": 9}})), "nothing is at least 9 and below 9"),
         (table(("A", {"weight_g": {}})), "neither at_least nor below"),
+        (table(("A", {"weigth_g": {"at_least": 9}}), ("B", {})), "measures this; did you mean `weight_g`"),
         (table(("A", {}), std={"weight_g": 1.0}), "no class has a limit on it"),
         ({"classes": []}, "at least 1 item"),
     ],
