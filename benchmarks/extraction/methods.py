@@ -71,7 +71,7 @@ def found_in(peaks: Peaks) -> Found:
 
 
 def extractors(options: Mapping[str, Mapping[str, Any]] = TOLD) -> Iterator[tuple[str, Extractor[Any] | str]]:
-    """Make every registered extractor, or say what it lacks."""
+    """Make every registered extractor of lines, or say what it lacks."""
     registry = discover()
     for registered in registry.of_kind("extractor"):
         name = registered.entry.name
@@ -79,6 +79,8 @@ def extractors(options: Mapping[str, Mapping[str, Any]] = TOLD) -> Iterator[tupl
             yield name, registered.missing
             continue
         cls = registry.load(registered)
+        if cls.capabilities.pattern != "lines":
+            continue
         yield name, cls(cls.Options(**options.get(name, {})))
 
 

@@ -175,7 +175,10 @@ def _speckle(image: Floats, values: Floats, radius: Integers, given: Floats) -> 
         )
         variance = given[0] + given[1] * m
         weighted = slope / variance[:, None]
-        left = np.eye(m.size) - slope @ np.linalg.solve(slope.T @ weighted, weighted.T)
+        normal = slope.T @ weighted
+        if np.linalg.matrix_rank(normal) < len(normal):
+            continue  # what is no dot, but an edge or a line, leaves numbers of the fit open
+        left = np.eye(m.size) - slope @ np.linalg.solve(normal, weighted.T)
         off = image[y, x] - p[3] - m
         light = m / p[2]
         square = light**2
