@@ -53,7 +53,10 @@ def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
     )
     guarded = UNGUARDED.replace("print", 'if __name__ == "__main__":\n    print')
     script.write_text(guarded, encoding="utf-8")
-    assert subprocess.run([sys.executable, str(script)], capture_output=True, check=True).stdout == b"[1, 2, 3]\n"
+    assert (
+        subprocess.run([sys.executable, str(script)], capture_output=True, check=True).stdout
+        == b"[1, 2, 3]\n"
+    )
 
 
 def test_an_array_measures_as_its_file_does(line: Callable[..., Path]) -> None:
