@@ -37,7 +37,7 @@ class Processes:
     def in_order(
         self, make: Callable[..., Callable[[Task], Result]], given: tuple[Any, ...], tasks: Tasks[Task]
     ) -> Iterator[Result | Lost[Task]]:
-        """As `Executor.in_order`; InterruptedRunError where one dies, ConfigurationError where none begins."""
+        """As `Executor.in_order`; InterruptedRunError: one died, ConfigurationError: none started."""
         jobs = self.jobs
         if jobs == 1 or len(tasks) < 2:
             yield from results_of(make(*given), tasks)
