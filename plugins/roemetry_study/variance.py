@@ -27,7 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -308,18 +308,26 @@ def _form(size: int, full: Sequence[Integers] | None, less: Sequence[Integers]) 
 
 def _projection(groups: Sequence[Integers]) -> Floats:
     """Project on the space of the groups' means."""
-    z = np.concatenate([np.eye(int(group.max()) + 1)[group] for group in groups], axis=1)
+    return _projection_of(*(group.tobytes() for group in groups))
+
+
+@lru_cache(maxsize=8)
+def _projection_of(*groups: bytes) -> Floats:
+    """Project on the space of the groups' means; a plan analyses one design sixty times."""
+    codes = [np.frombuffer(group, np.int64) for group in groups]
+    z = np.concatenate([np.eye(int(group.max()) + 1)[group] for group in codes], axis=1)
     left, values, _ = np.linalg.svd(z, full_matrices=False)
     left = left[:, values > 1e-9 * values[0]]
-    return np.asarray(left @ left.T)
+    projection = np.asarray(left @ left.T)
+    projection.flags.writeable = False
+    return projection
 
 
 def _expected(form: Floats, group: Integers | None) -> float:
     """Give what a component of variance 1 adds to the expectation of a sum of squares."""
     if group is None:
         return float(np.trace(form))
-    z = np.eye(int(group.max()) + 1)[group]
-    found = float(np.einsum("ij,ij->", form @ z, z))
+    found = float(form[group[:, None] == group].sum())
     return 0.0 if abs(found) < 1e-9 else found
 
 
