@@ -209,7 +209,7 @@ def test_a_tuning_page_answers(browser: Any, recipe: Path, width: int) -> None:
         assert_fits(page, address)
 
 
-@pytest.mark.parametrize("rig", RIGS)
+@pytest.mark.parametrize("rig", [RIGS[0], pytest.param(RIGS[1], marks=pytest.mark.thorough), RIGS[2]])
 def test_a_calibration_page_prints(browser: Any, tmp_path: Path, rig: str) -> None:
     path, doctor = tmp_path / "calibration.html", tmp_path / "doctor.html"
     calibrate(HOME / rig, out=tmp_path / "calibration.yaml", report=path, doctor=doctor)

@@ -94,6 +94,7 @@ def test_faults_are_told_with_file_and_item(tmp_path: Path) -> None:
         assert all(word.replace(",", ", ") in said for word in expected.split()), said
 
 
+@pytest.mark.thorough
 def test_a_hundred_thousand_items_need_no_memory(tmp_path: Path) -> None:
     write(tmp_path, ["a"])
     line = json.loads((tmp_path / ITEMS).read_text("utf-8"))

@@ -204,6 +204,7 @@ def test_a_scale_in_common_moves_the_largest_height_in_proportion() -> None:
     assert set(largest_height().budget) == {"peak noise"}, "what does not touch it is not in its budget"
 
 
+@pytest.mark.thorough
 def test_the_largest_heights_interval_holds_though_noise_lifts_it(rng: np.random.Generator) -> None:
     true_mm = largest_height(draws=2).value
     shape = RIG.stripe_map(RIG.dome()).x_px.shape

@@ -17,7 +17,9 @@ from roemetry.cli.warm_up import warm_up
 
 if __name__ == "__main__":
     told = []
-    kinds = warm_up(roemetry.Recipe.load(sys.argv[1]), lambda done, of: told.append((done, of)))
+    quick = ["stages.extractor=local-maximum", "stages.coder=ordered", "stages.aligner=null"]
+    recipe = roemetry.Recipe.load(sys.argv[1], sets=quick)
+    kinds = warm_up(recipe, lambda done, of: told.append((done, of)))
     print(json.dumps([kinds, told]))
 """
 

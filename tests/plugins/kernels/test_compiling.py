@@ -90,6 +90,7 @@ def test_a_kernel_is_kept_and_made_anew_when_a_callee_or_its_constant_changes(pa
     assert ran(package.parent) == ["8.0", "1"]
 
 
+@pytest.mark.thorough
 def test_installations_of_the_same_sources_share_a_given_folder(package: Path, tmp_path: Path) -> None:
     shutil.copytree(package, tmp_path / "other" / package.name)
     given = str(tmp_path / "kernels")
@@ -105,7 +106,7 @@ def test_of_processes_that_start_together_one_compiles(package: Path) -> None:
     assert sorted(said(process)[0] for process in processes) == [["7.0", "0"], ["7.0", "1"], ["7.0", "1"]]
 
 
-@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+@pytest.mark.parametrize("ending", ["nbi", pytest.param("nbc", marks=pytest.mark.thorough)])
 def test_what_is_damaged_on_disk_is_compiled_anew_and_said_once(package: Path, ending: str) -> None:
     assert ran(package.parent) == ["7.0", "0"]
     kept = sorted((package / "__pycache__").glob(f"*.{ending}"))
@@ -119,6 +120,7 @@ def test_what_is_damaged_on_disk_is_compiled_anew_and_said_once(package: Path, e
     assert ran(package.parent) == ["7.0", "1"]
 
 
+@pytest.mark.thorough
 def test_two_processes_name_no_function_alike(package: Path) -> None:
     """The linker takes one for the other where both are read from disk."""
     names: list[set[bytes]] = []

@@ -320,6 +320,7 @@ def test_products_side_by_side_have_labels_of_their_own() -> None:
         assert product.figures["y_min_mm"] <= at[:, 1].min() and at[:, 1].max() <= product.figures["y_max_mm"]
 
 
+@pytest.mark.thorough
 @needs_llvm
 def test_the_shipped_recipe_measures_what_the_other_simulator_never_drew(tmp_path: Path) -> None:
     """Same rig, other light, other skeins: the shipped calibration holds, and no label is wrong."""

@@ -73,6 +73,7 @@ def test_a_slice_below_the_belt_is_refused() -> None:
         volume_of(replace(made, profiles=replace(made.profiles, xyz_mm=xyz)))
 
 
+@pytest.mark.thorough
 def test_draws_scatter_by_the_stated_uncertainty() -> None:
     estimator, product = SurfaceMesh(MeshOptions(step_mm=4.0)), product_of(SPHERICAL_CAP, COARSE)
     stated = estimator.estimate(product).visible_mm3

@@ -83,7 +83,10 @@ def test_the_stated_uncertainty_covers_the_scatter(rig, rng) -> None:
     assert (scatter < 2.0 * stated).all()
 
 
-@pytest.mark.parametrize("belt", [True, False], ids=["with belt image", "without"])
+@pytest.mark.parametrize(
+    "belt",
+    [pytest.param(True, id="with belt image"), pytest.param(False, id="without", marks=pytest.mark.thorough)],
+)
 def test_heights_from_the_belt_up_scatter_as_stated(rng, belt: bool) -> None:
     """Exact stripes on levels of 0, 5 and 10 mm, by sixty calibrations, against redraws of one of them."""
     rig = LinearRig()

@@ -39,6 +39,7 @@ def contrast_along(there, rows, noise):
     return np.sqrt(found[0])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("contrast", [0.05, 0.15, 0.4])
 def test_scatter_tells_the_contrast(contrast, rng):
     found = contrast_along(stripes(lines(rng, contrast)), ROWS, UNKNOWN)

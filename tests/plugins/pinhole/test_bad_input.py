@@ -82,7 +82,10 @@ def bad(board: Board, folder: Path, rng) -> dict[str, tuple[str, str]]:
     return found | ({"off_25": mirrored} if board is CHARUCO else {})
 
 
-@pytest.mark.parametrize("board", [CHESS, CHARUCO], ids=lambda board: board.kind)
+@pytest.mark.parametrize(
+    "board",
+    [pytest.param(CHESS, id="chessboard", marks=pytest.mark.thorough), pytest.param(CHARUCO, id="charuco")],
+)
 def test_bad_images_are_named_and_change_nothing(board: Board, clean, rng, tmp_path: Path) -> None:
     """Blurred, tiny, cut off, another board, mirrored; or one half of a pair mirrored."""
     path = written(tmp_path, board)
@@ -137,6 +140,7 @@ def test_a_stripe_that_is_seen_in_one_pose_only_is_named(tmp_path: Path) -> None
     assert "add poses" in (caught.value.hint or "")
 
 
+@pytest.mark.thorough
 def test_a_rig_that_is_mirrored_as_a_whole_measures_the_same_heights(clean, tmp_path: Path) -> None:
     """A chessboard mirrored is itself: all images mirrored show a rig with the laser on the other side."""
     path, right = written(tmp_path), clean
@@ -166,6 +170,7 @@ def test_one_mirrored_view_of_a_symmetrical_board_without_stripes_shifts_nothing
 COUNT = 31
 
 
+@pytest.mark.thorough
 def test_thirty_one_planes_are_told_apart_and_measure(tmp_path: Path) -> None:
     """Stripes 7 px apart, eight poses: heights of exact peaks."""
     made = calibrate(Rig.load(written(tmp_path, count=COUNT)))

@@ -102,7 +102,7 @@ def height_errors(adjusted: Adjusted, true: Geometry, levels) -> tuple[np.ndarra
     return np.concatenate(off), np.concatenate(std)
 
 
-@pytest.mark.parametrize("name", list(RIGS))
+@pytest.mark.parametrize("name", ["tilted", pytest.param("gentle", marks=pytest.mark.thorough)])
 def test_planes_from_a_sphere_plate_measure_heights(name: str, rng) -> None:
     """Five images of it; the belt is known from a board that lies on it."""
     exact, width = shown(RIGS[name], rng), wide(RIGS[name])
@@ -121,6 +121,7 @@ def test_planes_from_a_sphere_plate_measure_heights(name: str, rng) -> None:
         from_plate(few, plate, boards, np.zeros(CAMERA, bool), exact.geometry.belt)
 
 
+@pytest.mark.thorough
 def test_a_sphere_plate_calibrates_with_boards_that_the_laser_never_met(rng) -> None:
     """Through the calibrator; without a board on the belt it is refused, and on an empty belt."""
     rig = LinearRig()

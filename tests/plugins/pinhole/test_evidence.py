@@ -83,6 +83,7 @@ def test_the_page_of_a_calibration() -> None:
         assert title in text
 
 
+@pytest.mark.thorough
 def test_a_failed_test_stands_in_the_verdict() -> None:
     observed = observed_of(LinearRig())
     calibrator = PinholeCalibrator()

@@ -98,6 +98,7 @@ def test_the_scale_comes_from_the_reference(seen, right, by_block, by: str) -> N
         assert made.residuals["pitch_ratio_std"] == pytest.approx(0.1 / 103.0, rel=1e-3)
 
 
+@pytest.mark.thorough
 def test_the_covariance_holds_the_references_length(seen, by_block) -> None:
     """A block known to a tenth as well gives distances that are uncertain by as much more."""
     rough = replace(BLOCK, tolerance_mm=0.2)
@@ -116,6 +117,7 @@ def test_a_free_scale_without_reference_is_refused(seen) -> None:
     assert "encoder_mm_per_count" in (caught.value.hint or "")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("known", [True, False])
 def test_references_that_contradict_are_refused_with_the_ratio(seen, right, known: bool) -> None:
     both = replace(seen, block=BLOCK, mm_per_count=(1.04 * WAY_MM, 1e-5))
@@ -168,6 +170,7 @@ def test_a_sphere_plate_is_measured(seen, right) -> None:
     assert set(said) == {"right", "none"}
 
 
+@pytest.mark.thorough
 def test_the_page_shows_the_calibration_with_the_scale_that_was_found(seen, by_block) -> None:
     asked, made = replace(smaller(seen, 1.03), block=BLOCK), by_block
     figures = {one.title: one.value for one in FREE.evidence(asked, made).figures}

@@ -32,6 +32,7 @@ def shared_out(whole: CalibrationSet, factor: float) -> CalibrationSet:
     return replace(whole, observations=moved, more_boards=(second,))
 
 
+@pytest.mark.thorough
 def test_two_boards_that_agree_give_what_one_does(whole: CalibrationSet) -> None:
     found = PinholeCalibrator().calibrate(shared_out(whole, 1.0))
     ratio, std = found.residuals["board_2_ratio"], found.residuals["board_2_ratio_std"]

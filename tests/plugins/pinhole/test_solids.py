@@ -98,8 +98,8 @@ def height_errors(calibration, geometry: Geometry, heights) -> tuple[np.ndarray,
     [
         ("gentle", "block", True),
         ("tilted", "block", False),
-        ("tilted", "staircase", True),
-        ("gentle", "staircase", False),
+        pytest.param("tilted", "staircase", True, marks=pytest.mark.thorough),
+        pytest.param("gentle", "staircase", False, marks=pytest.mark.thorough),
         ("gentle", "pyramid", False),
         ("tilted", "pyramid", True),
     ],
@@ -137,6 +137,7 @@ def test_the_solids_tolerance_is_in_the_covariance(rng, tmp_path: Path) -> None:
     assert np.std(drawn) / known.height_mm == pytest.approx(0.01, rel=0.25)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("off", "refused"), [(0.0, False), (0.01, True), (0.08, True)])
 def test_solids_that_contradict_each_other_are_refused_with_the_ratio(off, refused, rng, tmp_path) -> None:
     """A block that is higher than described by a share, beside a pyramid that is as described."""

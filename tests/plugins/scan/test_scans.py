@@ -170,7 +170,10 @@ def test_a_folder_of_frames_with_counts_in_their_names_is_the_same_scan(tmp_path
     assert one.volume.visible_mm3.value == other.volume.visible_mm3.value
 
 
-@pytest.mark.parametrize(("extractor", "apart_stds"), [("log-parabola", 1e-9), ("gaussian", 0.1)])
+@pytest.mark.parametrize(
+    ("extractor", "apart_stds"),
+    [pytest.param("log-parabola", 1e-9, marks=pytest.mark.thorough), ("gaussian", 0.1)],
+)
 def test_frames_followed_at_once_are_what_each_is_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, extractor: str, apart_stds: float
 ) -> None:

@@ -42,6 +42,7 @@ def test_a_half_ellipsoid_is_what_it_is() -> None:
         assert features[name] == pytest.approx(0.0, abs=0.05), name
 
 
+@pytest.mark.thorough
 def test_a_kink_is_found_with_its_angle() -> None:
     """A prism of 201 sections whose middles turn by 10 degrees half way."""
     count = 201

@@ -46,7 +46,9 @@ def test_the_model_names_what_stripes_show(skein: str, label: str) -> None:
     assert grade.probability > 0.5
 
 
-@pytest.mark.parametrize("family", ["fillet", "staircase", "wedge", "truncated-pyramid"])
+@pytest.mark.parametrize(
+    "family", [pytest.param("fillet", marks=pytest.mark.thorough), "staircase", "wedge", "truncated-pyramid"]
+)
 def test_what_is_no_skein_is_unknown(family: str) -> None:
     """Measured without an image, on a rig about the recipe's; and the feature that tells is named."""
     learned = Learned(LearnedOptions(model=FOLDER / "classifier.json"))

@@ -33,6 +33,7 @@ def view_of(rig: dict[str, Any]) -> View:
     return View(**{key: np.array(v) if key != "image_size" else tuple(v) for key, v in rig.items()})
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", list(RIGS))
 def test_the_true_rig_sees_every_true_point_where_the_image_does(scene, name: str) -> None:
     stage = scene(**RIGS[name], product={"family": "egg"}).make()

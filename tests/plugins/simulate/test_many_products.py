@@ -27,6 +27,7 @@ def dome(x_mm: float, y_mm: float, radius_mm: float):
     )  # fmt: skip
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["gridded", "parts", "blocks"])
 def test_a_group_is_what_its_members_are(kind: str) -> None:
     if kind == "gridded":

@@ -152,6 +152,7 @@ def test_the_plan_of_the_herring_roe_rig():
         plan.column("stripes", "nothing")
 
 
+@pytest.mark.thorough
 def test_an_aperture_gives_depth_of_field_and_speckle_limit():
     focus = {"distance_mm": 310.0, "f_number": 4.0}
     plan = RigPlanner(RayCasterOptions.model_validate({"camera": {"focus": focus}})).plan(simulate=False)
@@ -306,6 +307,7 @@ def test_json_has_units_and_no_nan(scene, tmp_path, monkeypatch):
     assert not (tmp_path / "plan.html").exists()
 
 
+@pytest.mark.thorough
 def test_dead_and_dim_stripes_and_strong_speckle_are_warned_of():
     power = [1.0] * 11
     power[2], power[7] = 0.0, 0.01

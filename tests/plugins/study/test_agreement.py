@@ -55,6 +55,7 @@ def test_misses_and_false_alarms_are_counted_against_the_reference() -> None:
     assert one.missed.high - one.missed.low > 0.5
 
 
+@pytest.mark.thorough
 def test_intervals_of_agreement_hold(rng: np.random.Generator) -> None:
     """150 studies of 60 parts, two readings each that hang together: 95 % are 142.5 ± 2.7, within four of
     these.

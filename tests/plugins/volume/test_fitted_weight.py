@@ -78,6 +78,7 @@ def test_auto_takes_the_plainest_form_that_does(rng: np.random.Generator) -> Non
     )
 
 
+@pytest.mark.thorough
 def test_intervals_of_20_samples_hold_what_they_say(rng: np.random.Generator, tmp_path: Path) -> None:
     """Over 120 draws of 20 samples, each judged on 50 others: standard error of the mean about 0.6 %."""
     from scipy.stats import t
