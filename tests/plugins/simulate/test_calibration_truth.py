@@ -51,7 +51,7 @@ def test_the_true_rig_sees_every_true_point_where_the_image_does(scene, name: st
 
 
 def test_a_set_holds_the_truth_of_rig_and_targets_and_the_noise(scene, tmp_path: Path) -> None:
-    camera = {"width_px": 480, "height_px": 360, "pixel_size_um": 13.33, "distortion": {"k1": -0.1}}
+    camera = {"width_px": 360, "height_px": 270, "pixel_size_um": 17.78, "distortion": {"k1": -0.1}}
     loaded = scene(product={"family": "egg"}, targets={"board": {"poses": 2}}, camera=camera)
     simulate(loaded, tmp_path / "set", count=0, calibration="basic")
     data = Dataset(tmp_path / "set")
