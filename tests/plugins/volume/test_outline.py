@@ -12,7 +12,8 @@ from roemetry.errors import StageError
 from roemetry.records import Frame, Reason, StripeMap
 from roemetry_volume import edge_contour
 from roemetry_volume.contour_edge import closed_path
-from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions, features_of
+from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions
+from roemetry_volume.outline_features import features_of
 
 ROWS, COLUMNS = 240, 360
 ELLIPSE = (180.3, 118.6, 120.0, 45.0)
