@@ -388,7 +388,8 @@ def doubt_of(
             if other != called:
                 return Reason(
                     "feature-unsure",
-                    f"{name} is {features[name]:.3g} ± {_SURE * std:.2g} (95 %): {called} may as well be {other}",
+                    f"{name} is {features[name]:.3g} ± {_SURE * std:.2g} (95 %): "
+                    f"{called} may as well be {other}",
                 )
     return None
 
