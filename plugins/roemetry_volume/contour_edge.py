@@ -174,10 +174,10 @@ _REDRAWN = 8  # times: their mean is then known to a third of their spread
 
 
 def redrawn(edge: Edge) -> list[Floats]:
-    """Give a contour with the noise of its fit on it once more, `_REDRAWN` times; (point, 2) px each.
+    """Give a contour with noise put on it, `_REDRAWN` times; (point, 2) px each.
 
-    Of the fit's noise is known how far single normals' places scatter; along the contour it is as smooth as
-    the brightness that is fitted and the places that are found are smoothed.
+    The noise scatters as single normals' places do, and is as smooth along the contour as the brightness that
+    is fitted and the places that are found are smoothed.
     """
     ring = edge.xy_px
     noise, normal = _fit_noise(ring.shape[0]), normals_of(ring, _NORMAL_REACH)

@@ -405,7 +405,7 @@ class Sampler:
             if CALIBRATION in causes:
                 calibration = next(self._calibrations)
             if OUTLINE in causes:
-                outlines = tuple(_moved_by(found, float(self._rng.normal())) for found in outlines)
+                outlines = tuple(moved_by(found, float(self._rng.normal())) for found in outlines)
             light = scene.penetration
             offset_mm = 0.0 if light is None else light.offset_mm
             if light is not None and PENETRATION in causes:
@@ -426,7 +426,7 @@ class Sampler:
         for number, found in self.as_found().items():
             outline = found.outline
             if outline is not None:
-                outline = _moved_by(outline, sign)
+                outline = moved_by(outline, sign)
             moved[number] = replace(found, outline=outline)
         return moved
 
@@ -499,7 +499,7 @@ def _smoothed(noise: Floats, reach_rows: float) -> Floats:
     return np.stack([np.convolve(line, kernel, mode="valid") for line in padded])
 
 
-def _moved_by(outline: Outline, sigmas: float) -> Outline:
+def moved_by(outline: Outline, sigmas: float) -> Outline:
     """Move a contour outwards by so many of its standard deviations, and what is read off it up by as many.
 
     Of a feature its standard uncertainty is told beside it, as `NAME_std`, if it is known: it is taken away,

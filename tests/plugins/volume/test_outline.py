@@ -101,6 +101,8 @@ def test_its_uncertainty_holds_beside_a_shadow_in_noise(rng: np.random.Generator
     noisy = replace(image, pixels=np.clip(np.rint(pixels), 0, 255).astype(np.uint8))
     (found,) = EdgeContour().outline(LASER, noisy, stripes_on(), None)
     assert abs(distance(found.xy_px).mean()) < 3.0 * found.xy_std_px < 3.0  # px
+    raw, told = features_of(found.xy_px, noisy.pixels)["convexity"], found.features
+    assert abs(told["convexity"] - 1.0) < min(2.0 * told["convexity_std"], 1.0 - raw)
 
 
 def test_what_a_coder_bridged_through_the_shadow_is_no_body(rng: np.random.Generator) -> None:
