@@ -28,7 +28,7 @@ class BridgingOptions(StageOptions):
 
 
 _REACH_TOLERANCES = 3.0
-"""A run off the belt is product only if it gets this many tolerances away from its rest line."""
+"""A run off the belt is product by itself only if it gets this many tolerances away from its rest line."""
 
 
 def bridged(
@@ -100,6 +100,9 @@ def bridged(
 
 
 _PRODUCT_ROWS_MIN = 3  # of a stripe off the belt: less is noise or dirt
+_THIN_ROWS_MIN, _THIN_SEEN_SHARE = 8, 0.5
+"""Points of a run near the belt that may be product, and their share of its rows: of belt stripes that a
+product's lit side cuts, the scraps fill a seventh of the rows, of thin ends two thirds or more."""
 
 
 class Layout(NamedTuple):
@@ -169,8 +172,11 @@ def off_belt_and_bridged(
 ) -> Flags:
     """Say which points lie off the belt, and bridge short gaps by straight lines, in place.
 
-    A run off the belt that is too short or nowhere far from it is taken back to the belt: where a product's
-    shadow cuts a belt stripe lengthwise, its peak shifts by a pixel or two. A gap beside a product is its.
+    A run off the belt that is too short is taken back to the belt, and so is one that is nowhere far from it:
+    where a product's shadow cuts a belt stripe lengthwise, its peak shifts by a pixel or two, away from where
+    products displace it; where a product's lit side cuts one, only scraps of it are left. A near run that is
+    neither and lies along product on the next stripe is where that thins out (`_keep_thin`). A gap beside a
+    product is its.
 
     Parameters
     ----------
@@ -181,7 +187,7 @@ def off_belt_and_bridged(
     tolerance_px
         How far from its rest line a point still lies on the belt, px.
     reach_px
-        How far a run must get away from its rest line to be product, px.
+        How far a run must get away from its rest line to be product by itself, px.
     longest_gap_rows
         Longer gaps stay empty, rows.
 
@@ -191,8 +197,9 @@ def off_belt_and_bridged(
         (stripe, row) True off the belt.
     """
     stripes, rows = x_px.shape
-    off_belt = np.zeros((stripes, rows), np.bool_)
+    off_belt, near = np.zeros((stripes, rows), np.bool_), np.zeros((stripes, rows), np.bool_)
     seen = np.empty(rows, np.int64)
+    rising, any_near = 0, False
     for s in range(stripes):
         count = 0
         for row in range(rows):
@@ -205,25 +212,73 @@ def off_belt_and_bridged(
             if not off_belt[s, seen[begin]]:
                 begin += 1
                 continue
-            end, farthest = begin, 0.0
+            end, farthest, sign = begin, 0.0, 0
             while end < count and off_belt[s, seen[end]]:
-                away = abs(x_px[s, seen[end]] - rest_px[s, seen[end]])
-                farthest = max(farthest, np.inf if np.isnan(away) else away)
+                off = x_px[s, seen[end]] - rest_px[s, seen[end]]
+                farthest = max(farthest, np.inf if np.isnan(off) else abs(off))
+                sign += (off > 0.0) - (off < 0.0)
                 end += 1
             if end - begin < _PRODUCT_ROWS_MIN or farthest < reach_px:
+                dense = end - begin >= _THIN_SEEN_SHARE * (seen[end - 1] + 1 - seen[begin])
+                thin = end - begin >= _THIN_ROWS_MIN and dense
+                any_near |= thin
                 for k in range(begin, end):
-                    off_belt[s, seen[k]] = False
+                    off_belt[s, seen[k]], near[s, seen[k]] = False, thin
+            else:
+                rising += sign
             begin = end
-        whole = count == 0 or seen[count - 1] - seen[0] == count - 1
-        for k in range(0 if whole else count - 1):
-            before, after = seen[k], seen[k + 1]
-            if not 1 < after - before <= longest_gap_rows + 1:
+    if any_near and rising != 0:
+        _keep_thin(x_px, rest_px, off_belt, near, 1.0 if rising > 0 else -1.0)
+    for s in range(stripes):
+        before = -1
+        for row in range(rows):
+            if np.isnan(x_px[s, row]):
                 continue
-            slope = (x_px[s, after] - x_px[s, before]) / (after - before)
-            for row in range(before + 1, after):
-                x_px[s, row] = x_px[s, before] + slope * (row - before)
-                off_belt[s, row] = off_belt[s, before] or off_belt[s, after]
+            if before >= 0 and 1 < row - before <= longest_gap_rows + 1:
+                slope = (x_px[s, row] - x_px[s, before]) / (row - before)
+                for between in range(before + 1, row):
+                    x_px[s, between] = x_px[s, before] + slope * (between - before)
+                    off_belt[s, between] = off_belt[s, before] or off_belt[s, row]
+            before = row
     return off_belt
+
+
+@kernel
+def _keep_thin(x_px: Floats, rest_px: Floats, off_belt: Flags, near: Flags, side: float) -> None:
+    """Put near runs off the belt, in place, that go on where the next stripe's product thins out.
+
+    Outwards from either side, so that one kept run may hold the next.
+
+    Parameters
+    ----------
+    x_px, rest_px
+        (stripe, row) points and rest lines, px.
+    off_belt
+        (stripe, row) True on product; kept runs are added.
+    near
+        (stripe, row) True on dense runs that are nowhere far from the belt.
+    side
+        Sign of x − rest line on product.
+    """
+    stripes, rows = x_px.shape
+    for step in (1, -1):
+        for k in range(1, stripes):
+            s = k if step > 0 else stripes - 1 - k
+            row = 0
+            while row < rows:
+                if not near[s, row]:
+                    row += 1
+                    continue
+                begin, count, right, beside = row, 0, 0, 0
+                while row < rows and (near[s, row] or np.isnan(x_px[s, row])):
+                    if near[s, row]:
+                        count += 1
+                        right += side * (x_px[s, row] - rest_px[s, row]) > 0.0
+                        beside += off_belt[s - step, row]
+                    row += 1
+                if right == count < 2 * beside:
+                    for r in range(begin, row):
+                        off_belt[s, r] |= near[s, r]
 
 
 @kernel

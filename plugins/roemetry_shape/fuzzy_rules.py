@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from roemetry.records import Grade, Product, Reason
 from roemetry.stages import Classifier, StageOptions
 from roemetry_shape.features import SMOOTHING_MM, shape_of
+from roemetry_shape.product_frame import doubt_of
 
 UNKNOWN = "unknown"
 _NEARLY = 0.5
@@ -80,7 +81,7 @@ class FuzzyRules(Classifier[FuzzyRulesOptions]):
 
     A term's truth is read off its straight lines; ``not`` is 1 − truth; a rule is as true as its least true
     term, a class as its truest rule. ``unknown`` is the answer where no class is true enough, or where the
-    second is more than half as true as the first.
+    second is more than half as true as the first, or where a feature's own uncertainty makes another truest.
     """
 
     Options: ClassVar[type[StageOptions]] = FuzzyRulesOptions
@@ -108,8 +109,17 @@ class FuzzyRules(Classifier[FuzzyRulesOptions]):
             why = " and ".join(f"{name} ({value:.2f})" for name, value in ranked[:2]) + " are nearly as true"
             return Grade(UNKNOWN, features=told, reasons=(Reason("rules-tie", why),))
         label, truth = ranked[0]
+        doubt = doubt_of(
+            features, {term.feature for term in self.options.terms.values()}, label, self._truest
+        )
+        if doubt is not None:
+            return Grade(UNKNOWN, features=told, reasons=(doubt,))
         said = ", ".join(f"{name} {value:.2f}" for name, value in ranked[:3])
         return Grade(label, features=told, reasons=(Reason("rule-holds", f"true to {truth:.2f}: {said}"),))
+
+    def _truest(self, features: Mapping[str, float]) -> str:
+        truths = self._truths(features)
+        return max(truths, key=lambda name: truths[name])
 
     def _truths(self, features: Mapping[str, float]) -> dict[str, float]:
         terms = {name: _truth(term, features[term.feature]) for name, term in self.options.terms.items()}

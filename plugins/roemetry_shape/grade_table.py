@@ -312,7 +312,7 @@ class Quantities:
         if part is not None:
             estimate = self._estimates[name]
             return estimate.std if all(map(math.isfinite, estimate.interval)) else max(stated, part)
-        found = self._features_std.get(name, math.nan)
+        found = self._features_std.get(name, self._features.get(f"{name}_std", math.nan))
         found = stated if math.isnan(found) else found
         if math.isnan(found) and name not in self.without_std and not math.isnan(self.value(name)):
             self.without_std.append(name)

@@ -18,11 +18,12 @@ With an outline, length and width are the outline's, and the outliner's features
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.records import Product, Profiles, sight_lines
+from roemetry.records import Product, Profiles, Reason, sight_lines
 from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.image_levels import median_of
@@ -356,6 +357,41 @@ def _window(y_mm: Floats, smoothing_mm: float) -> int:
 
 
 _ENDS = (0, -1)  # first and last section
+
+
+_SURE = 2.0  # standard deviations: 95 %, as of the intervals
+
+
+def doubt_of(
+    features: Mapping[str, float],
+    names: Collection[str],
+    called: str,
+    call: Callable[[Mapping[str, float]], str],
+) -> Reason | None:
+    """Say which feature may as well be one that makes another class; None where none may.
+
+    Parameters
+    ----------
+    features
+        By name; of some the standard uncertainty stands beside them, as `NAME_std`.
+    names
+        Those that are judged by.
+    called
+        The class.
+    call
+        Gives the class of other features.
+    """
+    for name in sorted(names):
+        std = features.get(f"{name}_std", 0.0)
+        for value in (features[name] - _SURE * std, features[name] + _SURE * std) if std > 0.0 else ():
+            other = call({**features, name: value})
+            if other != called:
+                return Reason(
+                    "feature-unsure",
+                    f"{name} is {features[name]:.3g} ± {_SURE * std:.2g} (95 %): "
+                    f"{called} may as well be {other}",
+                )
+    return None
 
 
 def outline_features(product: Product, sections: Sections) -> dict[str, float]:

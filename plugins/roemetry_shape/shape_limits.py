@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from roemetry.records import Grade, Product, Reason
 from roemetry.stages import Classifier, StageOptions
 from roemetry_shape.features import SMOOTHING_MM, shape_of
+from roemetry_shape.product_frame import doubt_of
 
 UNKNOWN = "unknown"
 _FEW = "fewer than three stripes show a cross-section: there is no shape to judge"
@@ -67,18 +68,31 @@ class ShapeLimits(Classifier[ShapeLimitsOptions]):
             return Grade(UNKNOWN, reasons=(Reason("too-few-sections", _FEW),))
         if not self.options.limits:
             return Grade(UNKNOWN, features=features, reasons=(Reason("no-limits", "no limits are given"),))
+        used = set()
         for limit in self.options.limits:
             if limit.feature not in features:
                 known = ", ".join(sorted(features))
                 why = f"there is no feature {limit.feature}; there are {known}"
                 return Grade(UNKNOWN, features=features, reasons=(Reason("no-such-feature", why),))
-            value = features[limit.feature]
-            broken = _broken(limit, value)
+            used.add(limit.feature)
+            if _broken(limit, features[limit.feature]):
+                break
+        label, reason = self._called(features)
+        doubt = doubt_of(features, used, label, lambda other: self._called(other)[0])
+        if doubt is not None:
+            return Grade(UNKNOWN, features=features, reasons=(doubt,))
+        return Grade(label, features=features, reasons=(reason,))
+
+    def _called(self, features: Mapping[str, float]) -> tuple[str, Reason]:
+        """Give the class of features, up to the first limit that is broken all there, and why."""
+        for limit in self.options.limits:
+            broken = _broken(limit, features.get(limit.feature, math.nan))
             if broken:
-                return Grade(limit.label, features=features, reasons=(Reason("limit-broken", broken),))
+                return limit.label, Reason("limit-broken", broken)
         count = len(self.options.limits)
-        within = f"within {count} {'limit' if count == 1 else 'limits'}"
-        return Grade(self.options.good, features=features, reasons=(Reason("within-limits", within),))
+        return self.options.good, Reason(
+            "within-limits", f"within {count} {'limit' if count == 1 else 'limits'}"
+        )
 
 
 def _broken(limit: Limit, value: float) -> str:

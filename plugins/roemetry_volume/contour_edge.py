@@ -104,10 +104,13 @@ class Edge(NamedTuple):
     std_px
         Standard uncertainty of its place as a whole: what the image's noise and texture leave open, what the
         model of the brightness across the edge may be wrong by, and how far it is not seen at all.
+    scatter_px
+        How far the single normals' best places scatter about the contour, standard deviation.
     """
 
     xy_px: Floats
     std_px: float
+    scatter_px: float
 
 
 class Scene(NamedTuple):
@@ -164,7 +167,29 @@ def edge_around(scene: Scene, start: Floats) -> Edge | None:
         model_px = math.hypot(_LASER_STD_PX, open_px)
     rows, columns = scene.level.shape
     inside = np.clip(ring, -0.5, np.array([columns, rows]) - 0.5)
-    return Edge(inside, math.hypot(std_px, model_px, unsure_px))
+    return Edge(inside, math.hypot(std_px, model_px, unsure_px), scatter_px)
+
+
+_REDRAWN = 8  # times: their mean is then known to a third of their spread
+
+
+def redrawn(edge: Edge) -> list[Floats]:
+    """Give a contour with noise put on it, `_REDRAWN` times; (point, 2) px each.
+
+    The noise scatters as single normals' places do, and is as smooth along the contour as the brightness that
+    is fitted and the places that are found are smoothed.
+    """
+    ring = edge.xy_px
+    noise, normal = _fit_noise(ring.shape[0]), normals_of(ring, _NORMAL_REACH)
+    return [ring + edge.scatter_px * noise[:, k, None] * normal for k in range(_REDRAWN)]
+
+
+@lru_cache(maxsize=4)
+def _fit_noise(normals: int) -> Floats:
+    """Give (normal, draw) noise as the fit leaves it on the contour, of places that scatter by 1."""
+    rng = np.random.default_rng(0)
+    single = _rounded(rng.normal(size=(normals, _REDRAWN)), _FIT_COHERENT)
+    return _rounded(single / single.std(), _FIT_ROUND)
 
 
 def unbound(scene: Scene, ring: Floats) -> Floats:

@@ -47,9 +47,10 @@ from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Outliner, StageOptions
 from roemetry_kernels.image_levels import median_of
-from roemetry_volume.contour_edge import Scene, edge_around, unbound
+from roemetry_volume.contour_edge import Scene, edge_around, redrawn, unbound
 from roemetry_volume.footprint import area_of, inside_by
 from roemetry_volume.image_motion import laid_over, logarithm
+from roemetry_volume.outline_features import features_of
 
 _LEAST_CONTRAST = 3.0
 """Times the belt's scatter that a product is brighter or darker: three standard deviations."""
@@ -98,8 +99,6 @@ five recipes shows more than 1 % farther than a spacing from them."""
 
 _SHIFT_MAX_PX, _SHIFT_STEP_PX = 12.0, 3.0
 """Shifts between the images that are tried: farther, the edge is not found around the stripes."""
-
-_CUTS, _MARGIN = 41, 0.06  # of the long axis: cuts that give the mid-line, and what is left out at its ends
 
 
 class EdgeContourOptions(StageOptions):
@@ -191,9 +190,8 @@ class EdgeContour(Outliner[EdgeContourOptions]):
                     if left_px < _CONTRADICTION_PX and fault is None:
                         continue
                     fault = fault or _contradiction(against_px, left_px)
-            outlines.append(
-                Outline(number, edge.xy_px, std_px, features_of(edge.xy_px, chosen.pixels), fault)
-            )
+            features = features_of(edge.xy_px, chosen.pixels, redrawn(edge))
+            outlines.append(Outline(number, edge.xy_px, std_px, features, fault))
         return tuple(outlines)
 
 
@@ -603,91 +601,3 @@ def _numbered(core: Flags) -> dict[int, Flags]:
     large = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] > _LEAST_CORE_SHARE * core.size]
     large.sort(key=lambda k: int(stats[k, cv2.CC_STAT_LEFT]))
     return {number: np.asarray(labels == k) for number, k in enumerate(large, start=1)}
-
-
-def features_of(xy_px: Floats, pixels: NDArray[Any]) -> dict[str, float]:
-    """Measure an outline in the image.
-
-    Parameters
-    ----------
-    xy_px : ndarray, shape (n, 2)
-        Closed contour.
-    pixels
-        (row, column) or (row, column, colour in the order blue, green, red) grey levels.
-
-    Returns
-    -------
-    dict
-        ``area_px2``, ``length_px`` (along its long axis), ``width_px`` (largest across that),
-        ``convexity`` (area over that of its convex hull), ``bending_deg`` (turn of a cubic through the
-        middles of cuts, within the inner 88 %; short of the true turn of strongly bent ones),
-        ``sagitta_share`` (largest distance of the mid-line from the line between its ends, over that
-        line), ``grey_mean`` and ``grey_std``, and in colour ``blue_mean``, ``green_mean``, ``red_mean``.
-    """
-    import cv2
-
-    ring = xy_px.astype(np.float32).reshape(-1, 1, 2)
-    area = abs(area_of(xy_px))
-    hull = float(cv2.contourArea(cv2.convexHull(ring)))
-    middle, width = _mid_line(xy_px)
-    found = {
-        "area_px2": area,
-        "length_px": float(np.ptp(_along(xy_px)[0])),
-        "width_px": width,
-        "convexity": area / hull if hull > 0.0 else float("nan"),
-        **_bending(middle),
-    }
-    corners = np.rint(xy_px).astype(np.int32)
-    (left, top), (right, bottom) = np.maximum(corners.min(axis=0), 0), corners.max(axis=0) + 1
-    box = pixels[top:bottom, left:right]
-    mask = np.zeros(box.shape[:2], np.uint8)
-    cv2.fillPoly(mask, [(corners - (left, top)).reshape(-1, 1, 2)], 1)
-    inside = box[mask.astype(np.bool_)].astype(np.float64)
-    if inside.size:
-        grey = inside.mean(axis=1) if inside.ndim == 2 else inside
-        found |= {"grey_mean": float(grey.mean()), "grey_std": float(grey.std())}
-        if inside.ndim == 2:
-            found |= {
-                f"{name}_mean": float(inside[:, k].mean()) for k, name in enumerate(("blue", "green", "red"))
-            }
-    return found
-
-
-def _along(xy: Floats) -> tuple[Floats, Floats]:
-    """Places along and across the long axis."""
-    off = xy - xy.mean(axis=0)
-    _, axes = np.linalg.eigh(np.cov(off.T))
-    return off @ axes[:, 1], off @ axes[:, 0]
-
-
-def _mid_line(xy: Floats) -> tuple[Floats, float]:
-    """Middles of cuts across the long axis, (m, 2) along and across; and the width of the widest."""
-    s, v = _along(xy)
-    after_s, after_v = np.roll(s, -1), np.roll(v, -1)
-    low, high = float(s.min()), float(s.max())
-    inset = _MARGIN * (high - low)
-    at = np.linspace(low + inset, high - inset, _CUTS)[:, None]
-    cut = (s <= at) != (after_s <= at)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = v + (at - s) / (after_s - s) * (after_v - v)
-    least, most = (np.where(cut, crossing, off) for off in (np.inf, -np.inf))
-    lower, upper = least.min(axis=1), most.max(axis=1)
-    met = cut.sum(axis=1) >= 2
-    widest = float((upper - lower)[met].max(initial=0.0))
-    return np.column_stack([at[met], 0.5 * (lower + upper)[met]]), widest
-
-
-def _bending(middle: Floats) -> dict[str, float]:
-    if middle.shape[0] < 5:
-        return {"bending_deg": float("nan"), "sagitta_share": float("nan")}
-    s, v = middle.T
-    half = 0.5 * float(np.ptp(s))
-    x = (s - s.mean()) / half
-    slope = np.polynomial.polynomial.polyder(np.polynomial.polynomial.polyfit(x, v / half, 3))
-    at_ends = np.polynomial.polynomial.polyval(np.array([x[0], x[-1]]), slope)
-    turn = np.rad2deg(np.arctan(at_ends[1]) - np.arctan(at_ends[0]))
-    chord = v[0] + (v[-1] - v[0]) * (s - s[0]) / (s[-1] - s[0])
-    return {
-        "bending_deg": float(abs(turn)),
-        "sagitta_share": float(np.abs(v - chord).max() / np.hypot(np.ptp(s), v[-1] - v[0])),
-    }

@@ -405,10 +405,7 @@ class Sampler:
             if CALIBRATION in causes:
                 calibration = next(self._calibrations)
             if OUTLINE in causes:
-                outlines = tuple(
-                    offset_contour(found, float(self._rng.normal(0.0, np.nan_to_num(found.xy_std_px))))
-                    for found in outlines
-                )
+                outlines = tuple(moved_by(found, float(self._rng.normal())) for found in outlines)
             light = scene.penetration
             offset_mm = 0.0 if light is None else light.offset_mm
             if light is not None and PENETRATION in causes:
@@ -429,7 +426,7 @@ class Sampler:
         for number, found in self.as_found().items():
             outline = found.outline
             if outline is not None:
-                outline = offset_contour(outline, sign * float(np.nan_to_num(outline.xy_std_px)))
+                outline = moved_by(outline, sign)
             moved[number] = replace(found, outline=outline)
         return moved
 
@@ -500,6 +497,21 @@ def _smoothed(noise: Floats, reach_rows: float) -> Floats:
     kernel /= np.sqrt((kernel**2).sum())
     padded = np.pad(noise, ((0, 0), (half, half)), mode="wrap")
     return np.stack([np.convolve(line, kernel, mode="valid") for line in padded])
+
+
+def moved_by(outline: Outline, sigmas: float) -> Outline:
+    """Move a contour outwards by so many of its standard deviations, and what is read off it up by as many.
+
+    Of a feature its standard uncertainty is told beside it, as `NAME_std`, if it is known: it is taken away,
+    since no doubt is left about what was drawn.
+    """
+    features = dict(outline.features)
+    for name in outline.features:
+        std = features.pop(f"{name}_std", 0.0)
+        if name in features:
+            features[name] += sigmas * std
+    moved = offset_contour(outline, sigmas * float(np.nan_to_num(outline.xy_std_px)))
+    return replace(moved, features=features)
 
 
 def offset_contour(outline: Outline, by_px: float) -> Outline:

@@ -13,7 +13,7 @@ from roemetry.errors import StageError
 from roemetry.records import Estimate, Grade, Outline, ProductTrace, Shares, StripeMap, Volume, Weight
 from roemetry.records.calibration import Calibration
 from roemetry.run.linearisation import linearise
-from roemetry.run.monte_carlo import Chain, Scene, offset_contour, propagate
+from roemetry.run.monte_carlo import Chain, Scene, moved_by, offset_contour, propagate
 from roemetry.run.open_parts import split_products
 from roemetry.stages import Classifier, StageOptions, VolumeEstimator, Weigher
 from roemetry.testing.scenes import LinearRig
@@ -293,6 +293,13 @@ def test_a_contour_moves_as_one() -> None:
     found = done(scene(outlines=(contour(0.5),)), ByOutline())
     assert found.volume.visible_mm3.budget["outline"] == pytest.approx(2 * 0.5, rel=0.18)
     assert found.volume.visible_mm3.std == pytest.approx(1.0, rel=0.1)
+
+
+def test_what_is_read_off_a_contour_is_drawn_with_it_and_no_longer_in_doubt() -> None:
+    given = replace(contour(0.5), features={"convexity": 0.99, "convexity_std": 0.004, "grey_mean": 50.0})
+    moved = moved_by(given, 1.5)
+    assert moved.features == {"convexity": pytest.approx(0.996), "grey_mean": 50.0}
+    assert np.array_equal(moved.xy_px, offset_contour(given, 0.75).xy_px)
 
 
 def test_an_outline_of_unknown_error_matters_only_where_it_is_used() -> None:

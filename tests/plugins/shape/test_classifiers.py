@@ -87,6 +87,26 @@ def test_rules_that_say_nothing_or_two_things_are_unknown() -> None:
         )
 
 
+LIMITS = {"limits": [{"feature": "fullness_median", "at_most": 0.85, "label": "box"}], "good": "round"}
+
+
+@pytest.mark.parametrize(
+    "classifier",
+    [
+        FuzzyRules(FuzzyRulesOptions.model_validate(RULES)),
+        ShapeLimits(ShapeLimitsOptions.model_validate(LIMITS)),
+    ],
+)
+@pytest.mark.parametrize(("value", "label"), [(0.82, "round"), (0.88, "box")])
+def test_a_class_is_only_as_sure_as_the_feature_it_hangs_on(
+    classifier: FuzzyRules | ShapeLimits, value: float, label: str
+) -> None:
+    sure = {"fullness_median": value, "fullness_median_std": 0.01}
+    assert classifier.judge(sure).label == label
+    grade = classifier.judge({**sure, "fullness_median_std": 0.02})
+    assert (grade.label, grade.reasons[0].code) == ("unknown", "feature-unsure")
+
+
 def samples(rng: np.random.Generator, count: int = 240) -> Samples:
     """Three classes in a plane, the third overlapping the second."""
     labels = np.array(["good", "dent", "bend"])[rng.integers(0, 3, count)]

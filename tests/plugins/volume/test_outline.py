@@ -12,7 +12,8 @@ from roemetry.errors import StageError
 from roemetry.records import Frame, Reason, StripeMap
 from roemetry_volume import edge_contour
 from roemetry_volume.contour_edge import closed_path
-from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions, features_of
+from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions
+from roemetry_volume.outline_features import features_of
 
 ROWS, COLUMNS = 240, 360
 ELLIPSE = (180.3, 118.6, 120.0, 45.0)
@@ -100,6 +101,8 @@ def test_its_uncertainty_holds_beside_a_shadow_in_noise(rng: np.random.Generator
     noisy = replace(image, pixels=np.clip(np.rint(pixels), 0, 255).astype(np.uint8))
     (found,) = EdgeContour().outline(LASER, noisy, stripes_on(), None)
     assert abs(distance(found.xy_px).mean()) < 3.0 * found.xy_std_px < 3.0  # px
+    raw, told = features_of(found.xy_px, noisy.pixels)["convexity"], found.features
+    assert abs(told["convexity"] - 1.0) < min(2.0 * told["convexity_std"], 1.0 - raw)
 
 
 def test_what_a_coder_bridged_through_the_shadow_is_no_body(rng: np.random.Generator) -> None:
