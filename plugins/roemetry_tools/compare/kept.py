@@ -1,21 +1,29 @@
-"""What was scored, kept until a comparison is finished: one that was stopped goes on where it was."""
+"""What was scored, kept until a comparison is finished: one that was stopped goes on where it was.
+
+Kept is JSON, compressed line by line: a folder may come from a stranger, and reading it runs no code of his.
+"""
 
 from __future__ import annotations
 
 import base64
 import hashlib
 import json
-import pickle
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from types import TracebackType
+from typing import Any
+
+import numpy as np
 
 from roemetry.errors import OutputError
-from roemetry.io.files import LineFile
+from roemetry.io.files import LineFile, first_fault
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.score import Scored
+from roemetry_tools.compare.stripes import CentreScore
 from roemetry_tools.compare.variants import Variant, recipe_of
 
 KEPT = ".scored"
@@ -54,12 +62,22 @@ class KeptScores:
         """Give what was kept before, in order."""
         with self._path.open(encoding="ascii") as file:
             file.readline()
-            for line in file:
-                yield pickle.loads(zlib.decompress(base64.b64decode(line)))
+            for number, line in enumerate(file, start=2):
+                try:
+                    found: Found = _reader().validate_python(
+                        json.loads(zlib.decompress(base64.b64decode(line)))
+                    )
+                except (ValueError, RecursionError, zlib.error) as error:
+                    raise OutputError(
+                        f"{self._path}:{number}: damaged, or of another roemetry ({first_fault(error)})",
+                        hint="begin the comparison again in another folder",
+                    ) from error
+                yield found
 
     def add(self, found: Found) -> None:
         """Keep what was scored of the next acquisition."""
-        self._file.append(base64.b64encode(zlib.compress(pickle.dumps(found, protocol=5), 1)).decode())
+        plain = json.dumps(found, default=_plain, separators=(",", ":"))
+        self._file.append(base64.b64encode(zlib.compress(plain.encode(), 1)).decode())
 
     def __enter__(self) -> KeptScores:
         return self
@@ -68,6 +86,31 @@ class KeptScores:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._file.__exit__(kind, error, trace)
+
+
+_NOT_SCORED = ("marks", "relief", "solution")
+"""What of a grade is drawn, and what an estimator goes on from."""
+
+
+def _plain(value: Any) -> Any:
+    """Make a record, an array or a mapping what JSON knows; numbers that are not finite stay what they are."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, CentreScore):
+        return {f.name: getattr(value, f.name) for f in fields(value)} | {"counts": value.held}
+    if is_dataclass(value):
+        return {f.name: getattr(value, f.name) for f in fields(value) if f.name not in _NOT_SCORED}
+    raise TypeError(f"{type(value).__name__} cannot be kept as JSON")
+
+
+@cache
+def _reader() -> Any:
+    """Make pydantic's reader of a line when the first one is read: it takes a while."""
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(Found)
 
 
 def _identity(variants: Sequence[Variant], data: Data, terms: Terms) -> str:
