@@ -44,7 +44,7 @@ class KeptScores:
         self._path = folder / KEPT
         if not resume:
             self._path.unlink(missing_ok=True)
-        of = _identity(variants, data, terms)
+        of = identity_of(variants, data, terms)
         with LineFile(self._path):
             pass  # opening it takes a half line away
         with self._path.open(encoding="ascii") as file:
@@ -93,7 +93,7 @@ _NOT_SCORED = ("marks", "relief", "solution")
 
 
 def _plain(value: Any) -> Any:
-    """Make a record, an array or a mapping what JSON knows; numbers that are not finite stay what they are."""
+    """Make a record, an array or a mapping what JSON knows; NaN and infinity stay what they are."""
     if isinstance(value, Mapping):
         return dict(value)
     if isinstance(value, np.ndarray | np.generic):
@@ -113,7 +113,7 @@ def _reader() -> Any:
     return TypeAdapter(Found)
 
 
-def _identity(variants: Sequence[Variant], data: Data, terms: Terms) -> str:
+def identity_of(variants: Sequence[Variant], data: Data, terms: Terms) -> str:
     """Hash what decides the scores, and which variants are measured."""
     whole = hashlib.sha256(json.dumps(data.described().get("sha256")).encode())
     for told in (*map(recipe_of, variants), sorted(data.labels.items()), terms.stop_early):
