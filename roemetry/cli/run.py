@@ -19,7 +19,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, set_option
+from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, place, set_option
 from roemetry.records import Estimate, Measurement
 from roemetry.records.units import MM3_PER_CM3, stated
 
@@ -32,7 +32,11 @@ def run(
     recipe: Annotated[Path, typer.Argument(help="A recipe file, or a folder with a recipe.yaml in it.")],
     out: Annotated[
         Path | None,
-        out_option("Folder for the results, created if needed; default: results/NAME-1, then -2, …"),
+        out_option(
+            "Folder for the results, created if needed, or a URL such as s3://plant/monday; default: "
+            "results/NAME-1, then -2, …",
+            parser=place,
+        ),
     ] = None,
     jobs: Annotated[
         int,
@@ -223,7 +227,7 @@ def _memory_mb() -> float | None:
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    folder: Annotated[Path, typer.Argument(parser=place, metavar="FOLDER", help="Folder or URL of a run.")],
     product: Annotated[
         str | None,
         typer.Option(
@@ -246,7 +250,10 @@ def report(
 
 
 def export(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run; or a calibration file.")],
+    folder: Annotated[
+        Path,
+        typer.Argument(parser=place, metavar="FOLDER", help="Folder or URL of a run; or a calibration file."),
+    ],
     sink: Annotated[
         str,
         typer.Argument(
