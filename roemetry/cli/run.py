@@ -157,11 +157,11 @@ def _stopped_by_signals() -> Iterator[Callable[[], None]]:
 
 
 def _described(outcome: Outcome) -> dict[str, object]:
-    from roemetry.run.record import RECORD, read_record
+    from roemetry.run.record import read_record
 
     return {
         "folder": str(outcome.folder),
-        "record": str(outcome.folder / RECORD),
+        "record": str(outcome.record),
         "counts": dict(outcome.counts),
         "files": [str(file) for file in outcome.files],
         "faults": list(outcome.sink_faults),
@@ -174,7 +174,7 @@ def _show(recipe: Recipe, outcome: Outcome) -> None:
     from rich.console import Console
 
     from roemetry.cli.run import problems_of, table_of
-    from roemetry.run.record import RECORD, read_record
+    from roemetry.run.record import read_record
 
     console = Console()
     console.print(table_of(recipe.product, read_record(outcome.folder), sum(outcome.counts.values())))
@@ -184,7 +184,7 @@ def _show(recipe: Recipe, outcome: Outcome) -> None:
     console.print(f"{counts or 'nothing measured'}", highlight=False)
     if outcome.drift is not None:
         console.print(f"drifting: {outcome.drift.text}", highlight=False, markup=False, soft_wrap=True)
-    for file in (outcome.folder / RECORD, *outcome.files[:10]):
+    for file in (outcome.record, *outcome.files[:10]):
         console.print(f"  {file}", highlight=False, soft_wrap=True)
 
 

@@ -27,7 +27,7 @@ from roemetry.io.files import LineFile, exclusive, make_folder, sha256_of, write
 from roemetry.io.remote import Url, read_ahead
 from roemetry.records import AcquisitionReference, Reason, Trace
 from roemetry.run.executors import Executor, Lost
-from roemetry.run.parts import Parts, copied, in_bucket
+from roemetry.run.parts import INDEX, Parts, copied, in_bucket
 from roemetry.run.pipeline import Pipeline, frame_of
 from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, read_record, rows_of, summed_up
 from roemetry.run.rows import failed, measurements_of
@@ -49,6 +49,11 @@ class Outcome:
     sink_faults: tuple[str, ...]
     drift: Reason | None = None
     """What moves in the course of the run; None for nothing."""
+
+    @property
+    def record(self) -> Path:
+        """The record; in a bucket the index of its parts."""
+        return self.folder / (INDEX if isinstance(self.folder, Url) else RECORD)
 
 
 def run_recipe(

@@ -18,7 +18,7 @@ from roemetry.run.batch import derive, run_recipe
 from roemetry.run.record import read_record, recipe_of, rows_of
 
 
-class Stopped(Exception):
+class StoppedError(Exception):
     """As a machine that is gone: nothing is closed after it."""
 
 
@@ -44,7 +44,7 @@ def record_in(bucket: Url) -> bytes:
 def stop_after(count: int):
     def on_progress(done: int, of: int) -> None:
         if done == count:
-            raise Stopped
+            raise StoppedError
 
     return on_progress
 
@@ -73,7 +73,7 @@ def test_a_run_that_was_stopped_goes_on_from_its_last_part(
     recipe, bucket, tmp_path, monkeypatch, machine_is_gone: bool
 ) -> None:
     run_recipe(recipe, tmp_path / "here")
-    with monkeypatch.context() as patch, pytest.raises(Stopped):
+    with monkeypatch.context() as patch, pytest.raises(StoppedError):
         if machine_is_gone:
             patch.setattr(parts, "_ROWS", 3)
             patch.setattr(parts.Parts, "close", lambda self: None)
@@ -103,7 +103,7 @@ def test_what_reads_runs_reads_parts(recipe, bucket, tmp_path) -> None:
 
 def test_a_copy_of_the_bucket_is_a_run_s_folder(recipe, bucket, tmp_path) -> None:
     run_recipe(recipe, tmp_path / "here")
-    with pytest.raises(Stopped):
+    with pytest.raises(StoppedError):
         run_recipe(recipe, bucket, on_progress=stop_after(4))
     copy = tmp_path / "copy"
     fsspec.filesystem("memory").get("/plant/monday", str(copy), recursive=True)
@@ -140,7 +140,9 @@ def test_the_verbs_take_a_url(line, bucket, monkeypatch, capsys) -> None:
         return int(caught.value.code or 0)
 
     assert roemetry("run", line(3), "--set", "sinks=[csv]", "--out", "memory://plant/monday") == 0
-    assert "memory://plant/monday/results.csv" in capsys.readouterr().out
+    assert (
+        "  memory://plant/monday/index.json\n  memory://plant/monday/results.csv" in capsys.readouterr().out
+    )
     assert roemetry("report", "memory://plant/monday", "--product", "p02#1") == 0
     assert capsys.readouterr().out.strip() == "memory://plant/monday/product-p02%231/results.csv"
     assert roemetry("export", "memory://plant/monday", "parquet") == 0
