@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from typing import Any
 
 from roemetry.cli.options import executor_of
@@ -18,11 +17,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def shared(
-    given: argparse.Namespace, work: Callable[..., Any], tasks: Sequence[Any], *fixed: Any
+    given: argparse.Namespace,
+    make: Callable[..., Callable[[Any], Any]],
+    fixed: tuple[Any, ...],
+    tasks: Sequence[Any],
 ) -> Iterator[Any]:
-    """Give ``work(*fixed, task)`` for each task, in order; `work` stands at the top of its module."""
-    executor = executor_of(given.cluster, given.jobs)
-    for found in executor.in_order(partial, (work, *fixed), tasks):
+    """Give ``make(*fixed)(task)`` for each task, in order; `make` can be pickled."""
+    for found in executor_of(given.cluster, given.jobs).in_order(make, fixed, tasks):
         if isinstance(found, Lost):
             raise SystemExit(f"{found.task}: {found.why}")
         yield found

@@ -16,6 +16,7 @@ import argparse
 import math
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -79,7 +80,7 @@ def intervals(given: argparse.Namespace) -> None:
         true = {**std, "gauge": math.sqrt(1.0 + 1.0 + 0.49)}
         true["gauge_percent"] = 100.0 * true["gauge"] / math.hypot(true["gauge"], 5.0)
         held = Counter[str]()
-        for found in sharing.shared(given, _held, range(given.studies), size, gaps, true):
+        for found in sharing.shared(given, partial, (_held, size, gaps, true), range(given.studies)):
             held.update(found)
         shown = " | ".join(f"{held[name] / given.studies:.1%}" for name in names)
         print(f"| {' × '.join(map(str, size))} | {gaps:.0%} | {shown} |", flush=True)
@@ -152,7 +153,8 @@ def acceptance(given: argparse.Namespace) -> None:
     """Print a line for each fault."""
     found = {fault: Counter[str]() for fault in FAULTS}
     causes = {fault: Counter[str]() for fault in FAULTS}
-    for rig in sharing.shared(given, _decided, range(given.first, given.first + given.count)):
+    seeds = range(given.first, given.first + given.count)
+    for rig in sharing.shared(given, partial, (_decided,), seeds):
         for fault, (decision, rejected_by) in rig.items():
             found[fault][decision] += 1
             causes[fault].update(rejected_by)

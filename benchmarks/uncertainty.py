@@ -18,7 +18,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +52,7 @@ def main() -> None:
     drawn = {row["seed"]: row for row in map(json.loads, kept) if row["draws"] == given.draws}
     rows = []
     seeds = range(given.seed, given.seed + given.count)
-    for spreads, compared in sharing.shared(given, _of_seed, seeds, given.draws, dict(drawn)):
+    for spreads, compared in sharing.shared(given, partial, (_of_seed, given.draws, dict(drawn)), seeds):
         if spreads is None:
             continue
         seed = spreads["seed"]

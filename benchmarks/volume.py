@@ -15,6 +15,7 @@ import math
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -119,19 +120,20 @@ def main() -> None:
     rows: list[Row] = []
     shares: list[tuple[float, float, float]] = []
     skeins = range(given.first, given.first + given.count)
-    for of_skein, share in sharing.shared(given, _of_skein, skeins, given.first + given.meshes):
+    for of_skein, share in sharing.shared(given, partial, (_of_skein, given.first + given.meshes), skeins):
         rows += of_skein
         shares.append(share)
     pictured = range(given.images_from, given.images_from + given.images)
-    pictures = [row for some in sharing.shared(given, from_images, pictured, given.cache) for row in some]
+    rendered = sharing.shared(given, partial, (from_images, given.cache), pictured)
+    pictures = [row for some in rendered for row in some]
     rigs, others = (
         range(given.bodies, given.bodies + given.rigs),
         range(given.others, given.others + given.each),
     )
     bodies = [(name, seed) for name in BODIES for seed in rigs]
-    known = [row for some in sharing.shared(given, _of_body, bodies) for row in some]
+    known = [row for some in sharing.shared(given, partial, (_of_body,), bodies) for row in some]
     theirs = [(family, seed) for family in OTHERS for seed in others]
-    foreign = [row for some in sharing.shared(given, _of_other, theirs) for row in some]
+    foreign = [row for some in sharing.shared(given, partial, (_of_other,), theirs) for row in some]
     stated = [name for name in ESTIMATORS if name not in ("zero-order-hold", "slice-pchip, ends: none")]
     parts = {
         "eleven stripes": judged([row for row in rows if row.of in ("11", "meshes")]),
