@@ -5,6 +5,9 @@
     of a data set, on a scheduler and two workers. Scheduler and client are killed (SIGKILL) so many times
     each, and workers, at moments drawn at random, and what was killed is started again with --resume. At the
     end the record (of `compare`, its items) must be, byte for byte, that of a run nobody disturbed.
+``python -m benchmarks cluster throughput [--rows 5000]``
+    Measures so many rows with two processes, then on a scheduler with one and with two workers: products a
+    second once all are at work, and the processor time of scheduler and client.
 ``python -m benchmarks cluster scaling [--workers 1 4 16 64] [--task 0.1]``
     Tasks that sleep, on so many workers in threads of this process: throughput over that of as many workers
     that lose nothing.
@@ -24,11 +27,14 @@ import tempfile
 import time
 from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import psutil
 
+from roemetry import Recipe, run_recipe
 from roemetry.run.cluster import Cluster
+from roemetry.run.workers import Processes
 
 _RECIPE = Path("recipes/herring_roe")
 _PORT = 28786
@@ -37,11 +43,11 @@ _LONGEST_S = 12.0
 
 
 def main() -> None:
-    """Do one of the two."""
+    """Do what is asked for."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=("kills", "scaling"))
+    parser.add_argument("what", choices=("kills", "throughput", "scaling"))
     parser.add_argument("--rows", type=int, default=5000)
     parser.add_argument("--verb", choices=("run", "compare"), default="run")
     parser.add_argument("--kills", type=int, default=5)
@@ -54,6 +60,9 @@ def main() -> None:
             print(f"{workers:3} workers: {_efficiency(workers, asked.task):.3f} of linear", flush=True)
         return
     with tempfile.TemporaryDirectory() as folder:
+        if asked.what == "throughput":
+            _throughput(_runs(Path(folder), asked.rows))
+            return
         work = (_runs if asked.verb == "run" else _compares)(Path(folder), asked.rows)
         done, same = _killed(work, asked.kills, asked.workers_killed)
     told = ", ".join(f"{number} kills of the {victim}" for victim, number in sorted(done.items()))
@@ -137,6 +146,35 @@ def _repeat(listed: Path, rows: int) -> None:
     listed.write_text("".join(json.dumps(line) + "\n" for line in many), "utf-8")
 
 
+def _throughput(work: _Work) -> None:
+    """Print products a second by the process pool and by clusters, and what those cost beside the work."""
+    sets = [word for word in work.command[2:] if word != "--set"]
+    recipe, address = Recipe.load(_RECIPE.absolute(), sets=sets), f"tcp://127.0.0.1:{_PORT}"
+    run_recipe(Recipe.load(_RECIPE, sets=["sinks=[]", "draws=0"]), work.folder / "warm")
+    print("| by | products a second | client, ms a product | scheduler, ms a product |\n|---|---|---|---|")
+    for name, workers in (("2 processes", 0), ("cluster of 1 worker", 1), ("cluster of 2 workers", 2)):
+        made = _cluster(workers) if workers else ()
+        executor = Cluster(address) if workers else Processes(2)
+        moments: list[tuple[float, float, float]] = []
+        look = partial(_look, moments, made[0].pid if made else None)
+        try:
+            run_recipe(recipe, work.folder / f"by-{name}", executor=executor, on_progress=look)
+        finally:
+            for process in made:
+                process.kill()
+        first, last = len(moments) // 4, len(moments) - len(moments) // 10
+        wall, client, scheduler = (
+            (b - a) / (last - first) for a, b in zip(moments[first], moments[last], strict=True)
+        )
+        print(f"| {name} | {1.0 / wall:.1f} | {1e3 * client:.2f} | {1e3 * scheduler:.2f} |", flush=True)
+
+
+def _look(moments: list[tuple[float, float, float]], scheduler: int | None, done: int, of: int) -> None:
+    """Note the time, and the processor times of this process and of the scheduler's, s."""
+    its = 0.0 if scheduler is None else sum(psutil.Process(scheduler).cpu_times()[:2])
+    moments.append((time.perf_counter(), time.process_time(), its))
+
+
 def _killed(work: _Work, kills: int, workers_killed: int) -> tuple[Counter[str], bool]:
     """Kill until it is finished; what was killed how often, and whether the file is that of a whole run."""
     if code := work.begin("whole").wait():
@@ -182,14 +220,15 @@ def _killed(work: _Work, kills: int, workers_killed: int) -> tuple[Counter[str],
 _ROEMETRY = (sys.executable, "-m", "roemetry")
 
 
-def _cluster() -> tuple[subprocess.Popen[bytes], subprocess.Popen[bytes]]:
+def _cluster(workers: int = 2) -> tuple[subprocess.Popen[bytes], subprocess.Popen[bytes]]:
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     scheduler = subprocess.Popen(
         [sys.executable, "-m", "dask", "scheduler", "--port", str(_PORT), "--no-dashboard"], **quiet
     )
     time.sleep(3.0)
     address = f"tcp://127.0.0.1:{_PORT}"
-    command = [sys.executable, "-m", "dask", "worker", address, "--nworkers", "2", "--nthreads", "1"]
+    command = [sys.executable, "-m", "dask", "worker", address, "--nworkers", str(workers)]
+    command += ["--nthreads", "1"]
     return scheduler, subprocess.Popen([*command, "--no-dashboard"], **quiet)
 
 

@@ -88,21 +88,26 @@ class KeptScores:
         self._file.__exit__(kind, error, trace)
 
 
-_NOT_SCORED = ("marks", "relief", "solution")
-"""What of a grade is drawn, and what an estimator goes on from."""
+_NOT_SCORED = ("marks", "relief", "solution", "slice_stripe", "slice_area_mm2", "slice_spacing_mm")
+"""What of a grade is drawn, what an estimator goes on from, and a volume's slices: no figure needs them."""
 
 
 def _plain(value: Any) -> Any:
     """Make a record, an array or a mapping what JSON knows; NaN and infinity stay what they are."""
-    if isinstance(value, Mapping):
-        return dict(value)
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    if isinstance(value, CentreScore):
-        return {f.name: getattr(value, f.name) for f in fields(value)} | {"counts": value.held}
-    if is_dataclass(value):
-        return {f.name: getattr(value, f.name) for f in fields(value) if f.name not in _NOT_SCORED}
+    kind: type[Any] = type(value)
+    if is_dataclass(kind):
+        plain = {name: getattr(value, name) for name in _names(kind)}
+        return plain | {"counts": value.held} if isinstance(value, CentreScore) else plain
+    if isinstance(value, Mapping):
+        return dict(value)
     raise TypeError(f"{type(value).__name__} cannot be kept as JSON")
+
+
+@cache
+def _names(kind: type[Any]) -> tuple[str, ...]:
+    return tuple(f.name for f in fields(kind) if f.name not in _NOT_SCORED)
 
 
 @cache
