@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, set_option
+from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, place, set_option
 from roemetry.cli.progress import progress
 from roemetry.errors import ConfigurationError, DataError, InterruptedRunError
 from roemetry.io.files import write_whole
@@ -68,7 +68,12 @@ def optimise(
     trials: Annotated[int, typer.Option("--trials", min=1, help="Recipes to try.")] = 50,
     data: Annotated[
         Path | None,
-        typer.Option("--data", help="A data set with truth; default: the one that the images belong to."),
+        typer.Option(
+            "--data",
+            parser=place,
+            metavar="PATH",
+            help="A data set with truth, or its URL; default: the one that the images belong to.",
+        ),
     ] = None,
     by: Annotated[
         Quantity | None,
