@@ -1,9 +1,13 @@
 """A cluster under blows, and a cluster of many workers.
 
-``python -m benchmarks cluster kills [--rows 5000] [--kills 5]``
-    Runs the shipped recipe over so many rows of a manifest on a scheduler and two workers; the scheduler and
-    the client are killed (SIGKILL) so many times each, at moments drawn at random, and what was killed is
-    started again with --resume. At the end the record must be, byte for byte, that of a run nobody disturbed.
+``python -m benchmarks cluster kills [--verb run] [--rows 5000] [--kills 5] [--workers-killed 30]``
+    Runs the shipped recipe over so many rows of a manifest, or compares two variants of it on as many items
+    of a data set, on a scheduler and two workers. Scheduler and client are killed (SIGKILL) so many times
+    each, and workers, at moments drawn at random, and what was killed is started again with --resume. At the
+    end the record (of `compare`, its items) must be, byte for byte, that of a run nobody disturbed.
+``python -m benchmarks cluster throughput [--rows 5000]``
+    Measures so many rows with two processes, then on a scheduler with one and with two workers: products a
+    second once all are at work, and the processor time of scheduler and client.
 ``python -m benchmarks cluster scaling [--workers 1 4 16 64] [--task 0.1]``
     Tasks that sleep, on so many workers in threads of this process: throughput over that of as many workers
     that lose nothing.
@@ -13,30 +17,41 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+import psutil
+
+from roemetry import Recipe, run_recipe
 from roemetry.run.cluster import Cluster
+from roemetry.run.workers import Processes
 
 _RECIPE = Path("recipes/herring_roe")
 _PORT = 28786
 _LONGEST_S = 12.0
-"""Kills strike up to so long after a client began: some rows are written by then, and not all."""
+"""Kills strike within so long, all together, after rows were written: not all are by then."""
 
 
 def main() -> None:
-    """Do one of the two."""
+    """Do what is asked for."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=("kills", "scaling"))
+    parser.add_argument("what", choices=("kills", "throughput", "scaling"))
     parser.add_argument("--rows", type=int, default=5000)
+    parser.add_argument("--verb", choices=("run", "compare"), default="run")
     parser.add_argument("--kills", type=int, default=5)
+    parser.add_argument("--workers-killed", type=int, default=30)
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 4, 16, 64])
     parser.add_argument("--task", type=float, default=0.1, help="how long a task sleeps, s")
     asked = parser.parse_args()
@@ -45,9 +60,13 @@ def main() -> None:
             print(f"{workers:3} workers: {_efficiency(workers, asked.task):.3f} of linear", flush=True)
         return
     with tempfile.TemporaryDirectory() as folder:
-        same = _killed(Path(folder), asked.rows, asked.kills)
-    found = "the same" if same else "ANOTHER"
-    print(f"{asked.kills} kills of the scheduler, {asked.kills} of the client: {found} record")
+        if asked.what == "throughput":
+            _throughput(_runs(Path(folder), asked.rows))
+            return
+        work = (_runs if asked.verb == "run" else _compares)(Path(folder), asked.rows)
+        done, same = _killed(work, asked.kills, asked.workers_killed)
+    told = ", ".join(f"{number} kills of the {victim}" for victim, number in sorted(done.items()))
+    print(f"{told}: {'the same' if same else 'ANOTHER'} {work.grows.name}")
     sys.exit(not same)
 
 
@@ -82,66 +101,144 @@ def _efficiency(workers: int, task_s: float) -> float:
     return (last - first) / (moments[last] - moments[first]) * task_s / workers
 
 
-def _killed(folder: Path, rows: int, kills: int) -> bool:
+@dataclass(frozen=True)
+class _Work:
+    """A command that is killed, and the file that it lets grow, within its `--out`."""
+
+    command: tuple[str, ...]
+    folder: Path
+    grows: Path
+
+    def begin(self, out: str, *more: str) -> subprocess.Popen[bytes]:
+        """Start it, or go on with it where the folder holds something."""
+        into = self.folder / out
+        resume = ("--resume",) if (into / self.grows).exists() else ()
+        command = [*_ROEMETRY, *self.command, "--out", str(into), *resume, *more]
+        return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    def lines(self, out: str) -> int:
+        """Count what it has written."""
+        path = self.folder / out / self.grows
+        return path.read_bytes().count(b"\n") if path.exists() else 0
+
+
+def _runs(folder: Path, rows: int) -> _Work:
     manifest = folder / "manifest.jsonl"
     subprocess.run([*_ROEMETRY, "manifest", str(_RECIPE), str(manifest)], check=True)
-    listed = [json.loads(line) for line in manifest.read_text("utf-8").splitlines()]
-    many = (listed[number % len(listed)] | {"id": f"p{number:05d}"} for number in range(rows))
-    manifest.write_text("".join(json.dumps(row) + "\n" for row in many), "utf-8")
-    _client(folder, manifest, "whole").wait()
-    rng, victims = random.Random(1), ["scheduler", "client"] * kills
+    _repeat(manifest, rows)
+    source = f"source={{use: manifest, path: {manifest}}}"
+    sets = [word for text in ("sinks=[csv]", "draws=0", source) for word in ("--set", text)]
+    return _Work(("run", str(_RECIPE), *sets), folder, Path("measurements.jsonl"))
+
+
+def _compares(folder: Path, rows: int) -> _Work:
+    data = folder / "data"
+    shutil.copytree(_RECIPE, data)
+    _repeat(data / "items.jsonl", rows)
+    varied = ("--vary", "stages.extractor.options.threshold=10,20")
+    return _Work(("compare", str(_RECIPE), "--data", str(data), *varied), folder, Path("items.jsonl"))
+
+
+def _repeat(listed: Path, rows: int) -> None:
+    """Make a list of files or items longer, each under an id of its own."""
+    lines = [json.loads(line) for line in listed.read_text("utf-8").splitlines()]
+    many = (lines[number % len(lines)] | {"id": f"p{number:05d}"} for number in range(rows))
+    listed.write_text("".join(json.dumps(line) + "\n" for line in many), "utf-8")
+
+
+def _throughput(work: _Work) -> None:
+    """Print products a second by the process pool and by clusters, and what those cost beside the work."""
+    sets = [word for word in work.command[2:] if word != "--set"]
+    recipe, address = Recipe.load(_RECIPE.absolute(), sets=sets), f"tcp://127.0.0.1:{_PORT}"
+    run_recipe(Recipe.load(_RECIPE, sets=["sinks=[]", "draws=0"]), work.folder / "warm")
+    print("| by | products a second | client, ms a product | scheduler, ms a product |\n|---|---|---|---|")
+    for name, workers in (("2 processes", 0), ("cluster of 1 worker", 1), ("cluster of 2 workers", 2)):
+        made = _cluster(workers) if workers else ()
+        executor = Cluster(address) if workers else Processes(2)
+        moments: list[tuple[float, float, float]] = []
+        look = partial(_look, moments, made[0].pid if made else None)
+        try:
+            run_recipe(recipe, work.folder / f"by-{name}", executor=executor, on_progress=look)
+        finally:
+            for process in made:
+                process.kill()
+        first, last = len(moments) // 4, len(moments) - len(moments) // 10
+        wall, client, scheduler = (
+            (b - a) / (last - first) for a, b in zip(moments[first], moments[last], strict=True)
+        )
+        print(f"| {name} | {1.0 / wall:.1f} | {1e3 * client:.2f} | {1e3 * scheduler:.2f} |", flush=True)
+
+
+def _look(moments: list[tuple[float, float, float]], scheduler: int | None, done: int, of: int) -> None:
+    """Note the time, and the processor times of this process and of the scheduler's, s."""
+    its = 0.0 if scheduler is None else sum(psutil.Process(scheduler).cpu_times()[:2])
+    moments.append((time.perf_counter(), time.process_time(), its))
+
+
+def _killed(work: _Work, kills: int, workers_killed: int) -> tuple[Counter[str], bool]:
+    """Kill until it is finished; what was killed how often, and whether the file is that of a whole run."""
+    if code := work.begin("whole").wait():
+        raise SystemExit(f"the undisturbed command ended with exit code {code}")
+    rng, done = random.Random(1), Counter[str]()
+    victims = ["scheduler", "client"] * kills + ["worker"] * workers_killed
+    rng.shuffle(victims)
+    longest_s = _LONGEST_S / max(1, len(victims) // 2)
     scheduler, workers = _cluster()
+    on_cluster = ("--cluster", f"tcp://127.0.0.1:{_PORT}")
+    client = work.begin("killed", *on_cluster)
     try:
         for number, victim in enumerate(victims, start=1):
-            client = _client(folder, manifest, "killed", "--cluster", f"tcp://127.0.0.1:{_PORT}")
-            before = _lines(folder)
-            while client.poll() is None and _lines(folder) == before:
+            before = work.lines("killed")
+            while client.poll() is None and work.lines("killed") == before:
                 time.sleep(0.1)  # until it writes
-            time.sleep(rng.uniform(0.0, _LONGEST_S / kills))
-            (scheduler if victim == "scheduler" else client).send_signal(signal.SIGKILL)
-            client.wait()
-            print(f"kill {number}, {victim}: {_lines(folder)} rows", flush=True)
+            time.sleep(rng.uniform(0.0, longest_s))
+            if client.poll() is not None:
+                print(f"finished after {number - 1} kills: more --rows are needed")
+                break
+            if victim == "worker":
+                os.kill(rng.choice(_processes_of(workers)), signal.SIGKILL)
+            else:
+                (scheduler if victim == "scheduler" else client).send_signal(signal.SIGKILL)
+                client.wait()
+            done[victim] += 1
+            print(f"kill {number}, {victim}: {work.lines('killed')} lines", flush=True)
             if victim == "scheduler":
                 workers.kill()
                 scheduler, workers = _cluster()
-        code = _client(folder, manifest, "killed", "--cluster", f"tcp://127.0.0.1:{_PORT}").wait()
-        print(f"last client: exit code {code}, {_lines(folder)} rows")
+            if victim != "worker":
+                client = work.begin("killed", *on_cluster)
+        code = client.wait()
+        print(f"last client: exit code {code}, {work.lines('killed')} lines")
     finally:
         scheduler.kill()
         workers.kill()
-    whole, killed = (folder / name / "measurements.jsonl" for name in ("whole", "killed"))
-    return whole.read_bytes() == killed.read_bytes()
+        client.kill()
+    whole, killed = (work.folder / name / work.grows for name in ("whole", "killed"))
+    return done, whole.read_bytes() == killed.read_bytes()
 
 
 _ROEMETRY = (sys.executable, "-m", "roemetry")
 
 
-def _client(folder: Path, manifest: Path, out: str, *more: str) -> subprocess.Popen[bytes]:
-    command = [*_ROEMETRY, "run", str(_RECIPE), "--set", "sinks=[csv]", "--set", "draws=0"]
-    command += [
-        "--set",
-        f"source={{use: manifest, path: {manifest}}}",
-        "--out",
-        str(folder / out),
-        "--resume",
-    ]
-    return subprocess.Popen([*command, *more], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-
-
-def _cluster() -> tuple[subprocess.Popen[bytes], subprocess.Popen[bytes]]:
+def _cluster(workers: int = 2) -> tuple[subprocess.Popen[bytes], subprocess.Popen[bytes]]:
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     scheduler = subprocess.Popen(
         [sys.executable, "-m", "dask", "scheduler", "--port", str(_PORT), "--no-dashboard"], **quiet
     )
     time.sleep(3.0)
     address = f"tcp://127.0.0.1:{_PORT}"
-    command = [sys.executable, "-m", "dask", "worker", address, "--nworkers", "2", "--nthreads", "1"]
+    command = [sys.executable, "-m", "dask", "worker", address, "--nworkers", str(workers)]
+    command += ["--nthreads", "1"]
     return scheduler, subprocess.Popen([*command, "--no-dashboard"], **quiet)
 
 
-def _lines(folder: Path) -> int:
-    record = folder / "killed" / "measurements.jsonl"
-    return record.read_bytes().count(b"\n") if record.exists() else 0
+def _processes_of(workers: subprocess.Popen[bytes]) -> list[int]:
+    """Give the workers that are alive; their nanny starts a dead one again."""
+    while True:
+        children = psutil.Process(workers.pid).children()
+        if found := [child.pid for child in children if "spawn_main" in " ".join(child.cmdline())]:
+            return found
+        time.sleep(0.1)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Disturbed images through recipes: how often a number lies, and how often harmless images are refused.
 
-``python -m benchmarks faults RECIPE[=DATA]… [--cases 20000] [--record FILE] [--minutes 8] [--page FILE]``
+``python -m benchmarks faults RECIPE[=DATA]… [--cases 20000] [--record FILE] [--minutes 8] [--page FILE]
+[--jobs 1] [--cluster ADDRESS]``
 
 The data must state true volumes: a data set, or `truth.json` of a rendered rig beside the recipe; with
 `--moved` scenes are rendered anew by both simulators with the rig moved (`benchmarks.moved_rigs`). Each case
@@ -26,6 +27,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks import sharing
 from benchmarks.disturbances import DISTURBANCES, Disturbance, Scene
 from benchmarks.moved_rigs import MOTIONS, moved_scenes
 from roemetry import Recipe
@@ -84,6 +86,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=math.inf, help="stop after so many")
     parser.add_argument("--page", type=Path)
     parser.add_argument("--curves", type=Path, help="SVG of size against error")
+    sharing.add_options(parser)
     asked = parser.parse_args()
     until = time.monotonic() + 60.0 * asked.minutes
     found = [] if asked.record is None else read(asked.record)
@@ -108,37 +111,54 @@ def main() -> None:
 
 def measured(asked: argparse.Namespace, done: int) -> Iterator[Case]:
     """Measure the cases that are asked for but the first `done`."""
-    recipes: dict[str, Recipe] = {}
-    scenes: dict[str, list[Scene]] = {}
-    for word in asked.recipes:
-        path, _, data = word.partition("=")
-        sets = ["uncertainty=linear"]
-        if data:
-            sets += ["source.use=dataset", f"source.path={Path(data).absolute()}", "source.options={}"]
-        recipe = recipes[word] = Recipe.load(Path(path), sets=sets)
-        if not asked.moved:
-            taken = list(scenes_of(recipe, asked.images))
-            scenes[word] = [scene._replace(other=taken[i - 1]) for i, scene in enumerate(taken)]
+    if not asked.recipes:  # the record as it is
+        return
     if asked.moved:
-        yield from _rendered(recipes, asked, done)
+        yield from _rendered({word: recipe_of(word, Path.cwd()) for word in asked.recipes}, asked, done)
         return
-    if not recipes:  # the record as it is
-        return
-    known = {name: one for name, one in DISTURBANCES.items() if _asked_for(name, asked.only)}
-    places = [(word, k) for word in recipes for k in range(len(scenes[word]))]
-    base: dict[tuple[str, int], Case] = {}
-    for number, (place, name) in enumerate(_shuffled(places, list(known), asked.cases, asked.seed)):
-        if number < done:
-            continue
+    fixed = (asked.recipes, Path.cwd(), asked.images, asked.seed)
+    names = [name for name in DISTURBANCES if _asked_for(name, asked.only)]
+    drawn_cases = _shuffled(_Disturbed(*fixed).places, names, asked.cases, asked.seed)
+    yield from sharing.shared(asked, _Disturbed, fixed, list(enumerate(drawn_cases))[done:])
+
+
+def recipe_of(word: str, folder: Path) -> Recipe:
+    """Load ``recipe`` or ``recipe=folder of a data set``, relative to a folder."""
+    path, _, data = word.partition("=")
+    sets = ["uncertainty=linear"]
+    if data:
+        sets += ["source.use=dataset", f"source.path={folder / data}", "source.options={}"]
+    return Recipe.load(folder / path, sets=sets)
+
+
+class _Disturbed:
+    """Disturbs and measures one case at a time."""
+
+    def __init__(self, words: Sequence[str], folder: Path, images: int, seed: int) -> None:
+        self._recipes = {word: recipe_of(word, folder) for word in words}
+        self._seed, self._scenes = seed, dict[str, list[Scene]]()
+        for word, recipe in self._recipes.items():
+            taken = list(scenes_of(recipe, images))
+            self._scenes[word] = [scene._replace(other=taken[i - 1]) for i, scene in enumerate(taken)]
+        self._base: dict[tuple[str, int], Case] = {}
+
+    @property
+    def places(self) -> list[tuple[str, int]]:
+        """Recipes, each with the numbers of its scenes."""
+        return [(word, k) for word, scenes in self._scenes.items() for k in range(len(scenes))]
+
+    def __call__(self, task: tuple[int, tuple[tuple[str, int], str]]) -> Case:
+        """Measure the disturbed scene beside the undisturbed one."""
+        number, (place, name) = task
         word, k = place
-        recipe, scene = recipes[word], scenes[word][k]
-        if place not in base:
-            base[place] = judged(recipe, scene, scene.laser, scene.plain)
-        rng = np.random.default_rng([asked.seed, number])
-        size = drawn(known[name], rng)
-        images = known[name].make(scene, size, rng)
+        recipe, scene = self._recipes[word], self._scenes[word][k]
+        if place not in self._base:
+            self._base[place] = judged(recipe, scene, scene.laser, scene.plain)
+        rng = np.random.default_rng([self._seed, number])
+        size = drawn(DISTURBANCES[name], rng)
+        images = DISTURBANCES[name].make(scene, size, rng)
         scene = scene._replace(true_mm3=scene.shown_mm3(images[0]))
-        yield against(judged(recipe, scene, *images), base[place], word, name, size)
+        return against(judged(recipe, scene, *images), self._base[place], word, name, size)
 
 
 def _rendered(recipes: Mapping[str, Recipe], asked: argparse.Namespace, done: int) -> Iterator[Case]:

@@ -1,6 +1,7 @@
 """Studies judged: intervals that hold, instruments accepted and refused; and the example's readings.
 
-``python -m benchmarks studies [--part intervals acceptance] [--first 410000] [--count 100] [--studies 1000]``
+``python -m benchmarks studies [--part intervals acceptance] [--first 410000] [--count 100] [--studies 1000]
+[--jobs 1] [--cluster ADDRESS]``
 
 Intervals: gauge studies and studies of agreement with known variances and rates, simulated. Acceptance:
 every instrument is a rig of its own; a sphere plate in ten positions and a block in six are traced exactly,
@@ -15,9 +16,11 @@ import argparse
 import math
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from benchmarks import sharing
 from benchmarks.volume_scenes import HERRING_ROE, exact, rig_of, view_of
 from benchmarks.weight import disturbed
 from roemetry.config.target_file import read_sphere_plate, read_target
@@ -59,6 +62,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=410000, help="seed of the first rig")
     parser.add_argument("--count", type=int, default=100, help="rigs")
     parser.add_argument("--studies", type=int, default=1000, help="simulated for each design")
+    sharing.add_options(parser)
     given = parser.parse_args()
     for part in given.part:
         parts[part](given)
@@ -75,16 +79,9 @@ def intervals(given: argparse.Namespace) -> None:
         std = {"part": 5.0, "repeatability": 1.0, "operator": 1.0, "interaction": 0.7}
         true = {**std, "gauge": math.sqrt(1.0 + 1.0 + 0.49)}
         true["gauge_percent"] = 100.0 * true["gauge"] / math.hypot(true["gauge"], 5.0)
-        held = dict.fromkeys(names, 0)
-        for seed in range(given.studies):
-            rng = np.random.default_rng([seed, *size, 73])
-            table = simulated(rng, size, 5.0, 1.0, 1.0, 0.7)
-            table = replace(table, readings=tuple(r for r in table.readings if rng.random() >= gaps))
-            found = analyse(table)
-            drawn = {**found.draws, "gauge_percent": 100.0 * found.draws["gauge"] / found.draws["total"]}
-            for name in names:
-                low, high = np.quantile(drawn[name], [0.025, 0.975])
-                held[name] += bool(low <= true[name] <= high)
+        held = Counter[str]()
+        for found in sharing.shared(given, partial, (_held, size, gaps, true), range(given.studies)):
+            held.update(found)
         shown = " | ".join(f"{held[name] / given.studies:.1%}" for name in names)
         print(f"| {' × '.join(map(str, size))} | {gaps:.0%} | {shown} |", flush=True)
     print("\n| study of agreement | missed | false alarms | kappa |\n|---|---|---|---|")
@@ -100,6 +97,17 @@ def intervals(given: argparse.Namespace) -> None:
                 counts[name] += figure.low <= value <= figure.high
         shown = " | ".join(f"{counts[name] / given.studies:.1%}" for name in ("missed", "false", "kappa"))
         print(f"| {parts} parts × {trials}, hard parts wrong {hard:.0%} | {shown} |", flush=True)
+
+
+def _held(size: tuple[int, int, int], gaps: float, true: dict[str, float], seed: int) -> list[str]:
+    """Give the components whose interval holds the truth in one study."""
+    rng = np.random.default_rng([seed, *size, 73])
+    table = simulated(rng, size, 5.0, 1.0, 1.0, 0.7)
+    table = replace(table, readings=tuple(r for r in table.readings if rng.random() >= gaps))
+    found = analyse(table)
+    drawn = {**found.draws, "gauge_percent": 100.0 * found.draws["gauge"] / found.draws["total"]}
+    ends = {name: np.quantile(drawn[name], [0.025, 0.975]) for name in true if name in drawn}
+    return [name for name, (low, high) in ends.items() if low <= true[name] <= high]
 
 
 def agreed(rng: np.random.Generator, parts: int, trials: int, hard: float) -> tuple[Operator, float]:
@@ -145,23 +153,11 @@ def acceptance(given: argparse.Namespace) -> None:
     """Print a line for each fault."""
     found = {fault: Counter[str]() for fault in FAULTS}
     causes = {fault: Counter[str]() for fault in FAULTS}
-    for seed in range(given.first, given.first + given.count):
-        rig = rig_of(seed)
-        traces = list(traced(rig, seed))
-        for fault in FAULTS:
-            view = faulty(view_of(rig), fault)
-            try:
-                values = [
-                    value
-                    for artefact, points in traces
-                    for value in measure(lifted(points, view), artefact, view)
-                ]
-                outcomes = decide(values, LIMITS_MM)
-            except RoemetryError as error:
-                found[fault][error.message] += 1
-                continue
-            found[fault][overall(outcomes)] += 1
-            causes[fault].update(o.characteristic for o in outcomes if o.decision == "rejected")
+    seeds = range(given.first, given.first + given.count)
+    for rig in sharing.shared(given, partial, (_decided,), seeds):
+        for fault, (decision, rejected_by) in rig.items():
+            found[fault][decision] += 1
+            causes[fault].update(rejected_by)
     print(
         "\n| fault | accepted | rejected | undecided | not measured | rejected by |"
         "\n|---|---|---|---|---|---|"
@@ -170,6 +166,27 @@ def acceptance(given: argparse.Namespace) -> None:
         told = [found[fault][name] for name in ("accepted", "rejected", "undecided")]
         by = ", ".join(f"{name} {n}" for name, n in causes[fault].most_common())
         print(f"| {fault} | {' | '.join(map(str, told))} | {given.count - sum(told)} | {by or '–'} |")
+
+
+def _decided(seed: int) -> dict[str, tuple[str, list[str]]]:
+    """Give, by fault, the decision on a rig, or why there is none, and what rejected it."""
+    rig = rig_of(seed)
+    traces, decided = traced(rig, seed), {}
+    for fault in FAULTS:
+        view = faulty(view_of(rig), fault)
+        try:
+            values = [
+                value
+                for artefact, points in traces
+                for value in measure(lifted(points, view), artefact, view)
+            ]
+            outcomes = decide(values, LIMITS_MM)
+        except RoemetryError as error:
+            decided[fault] = error.message, []
+            continue
+        rejected = [o.characteristic for o in outcomes if o.decision == "rejected"]
+        decided[fault] = overall(outcomes), rejected
+    return decided
 
 
 def traced(rig: Rig, seed: int) -> list[tuple[Artefact, Profiles]]:

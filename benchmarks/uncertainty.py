@@ -1,6 +1,7 @@
 """Linearised standard uncertainties against Monte Carlo draws, on skeins nobody has looked at.
 
-``python -m benchmarks uncertainty [--seed 510000] [--count 100] [--draws 2000] [--keep rows.jsonl]``
+``python -m benchmarks uncertainty [--seed 510000] [--count 100] [--draws 2000] [--keep rows.jsonl]
+[--jobs 1] [--cluster ADDRESS]``
 
 Skeins of the whole population on the rig of ``recipes/herring_roe``: stripes and silhouettes are traced, not
 rendered, and peaks are drawn with the noise that they state. Calibration, stages and options are those of
@@ -17,10 +18,12 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks import sharing
 from benchmarks.volume_scenes import HERRING_ROE, exact, rig_of
 from roemetry import Recipe
 from roemetry.errors import RoemetryError
@@ -43,21 +46,23 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--draws", type=int, default=2000)
     parser.add_argument("--keep", type=Path, help="file that a run goes on from")
+    sharing.add_options(parser)
     given = parser.parse_args()
     kept = given.keep.read_text().splitlines() if given.keep and given.keep.exists() else []
     drawn = {row["seed"]: row for row in map(json.loads, kept) if row["draws"] == given.draws}
-    recipe = Recipe.load(HERRING_ROE / "with_outline.yaml")
-    chain = Chain(*(recipe.stages[kind].make() for kind in ("triangulator", "volume", "weigher")), None)
     rows = []
-    for seed in range(given.seed, given.seed + given.count):
-        for trace, scene in _traces(recipe, chain, seed):
-            if seed not in drawn:
-                drawn[seed] = _spreads(trace, scene, chain, given.draws, seed)
-                if given.keep:
-                    with given.keep.open("a") as file:
-                        file.write(json.dumps(drawn[seed]) + "\n")
-            rows.append(_compared(trace, scene, chain, drawn[seed]))
-            print(seed, *(f"{name} {rows[-1][name]:.3f}" for name in _FIELDS), flush=True)
+    seeds = range(given.seed, given.seed + given.count)
+    for spreads, compared in sharing.shared(given, partial, (_of_seed, given.draws, dict(drawn)), seeds):
+        if spreads is None:
+            continue
+        seed = spreads["seed"]
+        if seed not in drawn and given.keep:
+            with given.keep.open("a") as file:
+                file.write(json.dumps(spreads) + "\n")
+        drawn[seed] = spreads
+        for row in compared:
+            rows.append(row)
+            print(seed, *(f"{name} {row[name]:.3f}" for name in _FIELDS), flush=True)
     print(f"{len(rows)} skeins, {given.draws} draws each; of the standard uncertainty of the visible")
     print(f"volume {np.median([row['share'] for row in rows]):.0%} (median) is what was drawn\n")
     for name in _FIELDS:
@@ -72,6 +77,27 @@ def main() -> None:
 
 
 _FIELDS = {"visible volume": "visible_mm3", "mass": "mass_g"}
+
+
+@cache
+def _chain() -> tuple[Recipe, Chain]:
+    recipe = Recipe.load(HERRING_ROE / "with_outline.yaml")
+    return recipe, Chain(
+        *(recipe.stages[kind].make() for kind in ("triangulator", "volume", "weigher")), None
+    )
+
+
+def _of_seed(
+    draws: int, drawn: dict[int, dict[str, float]], seed: int
+) -> tuple[dict[str, float] | None, list[dict[str, float]]]:
+    """Give a skein's spreads, if not `drawn` before, and the ratios; None where it is refused."""
+    recipe, chain = _chain()
+    spreads, compared = drawn.get(seed), []
+    for trace, scene in _traces(recipe, chain, seed):
+        if spreads is None:
+            spreads = _spreads(trace, scene, chain, draws, seed)
+        compared.append(_compared(trace, scene, chain, spreads))
+    return spreads, compared
 
 
 def _spreads(trace: ProductTrace, scene: Scene, chain: Chain, draws: int, seed: int) -> dict[str, float]:

@@ -1,6 +1,7 @@
 """Error of every volume estimator on simulated products: the tables of docs/measurements/volume.md.
 
-``python -m benchmarks volume [--first 80000] [--count 100] [--meshes 10] [--images 0] [--page FILE]``
+``python -m benchmarks volume [--first 80000] [--count 100] [--meshes 10] [--images 0] [--page FILE]
+[--jobs 1] [--cluster ADDRESS]``
 
 Every product has a rig of its own. Stripes are traced exactly, 41 at a time, and thinned to fewer; outlines
 are exact silhouettes. So are those of the other simulator's bodies, which the estimators were not developed
@@ -14,11 +15,13 @@ import math
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks import sharing
 from benchmarks.mesh_scenes import exact_body
 from benchmarks.tables import put_into, table
 from benchmarks.volume_scenes import Exact, exact, exact_skein, images, measured, rig_of, thinned
@@ -112,32 +115,25 @@ def main() -> None:
     parser.add_argument("--each", type=int, default=40, help="bodies of each of the other maker's families")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-volume")
     parser.add_argument("--page", type=Path, default=Path("docs/measurements/volume.md"))
+    sharing.add_options(parser)
     given = parser.parse_args()
     rows: list[Row] = []
     shares: list[tuple[float, float, float]] = []
-    for seed in range(given.first, given.first + given.count):
-        whole = exact_skein(seed, 41)
-        for stripes, step in STEPS.items():
-            rows += measure(str(stripes), thinned(whole, step), ESTIMATORS)
-            if stripes == 11 and seed < given.first + given.meshes:
-                rows += measure("meshes", thinned(whole, step), MESHES)
-            if stripes == 11:
-                shares.append((1.0 + rows[-1].error, rows[-1].std, whole.true_mm3 / whole.visible_mm3))
-    pictures: list[Row] = []
-    for seed in range(given.images_from, given.images_from + given.images):
-        pictures += from_images(seed, given.cache)
-    known = [
-        row
-        for name, (family, options) in BODIES.items()
-        for seed in range(given.bodies, given.bodies + given.rigs)
-        for row in measure(name, exact(rig_of(seed), solid_of(family, options, seed)), _OF_BODIES)
-    ]
-    foreign = [
-        row
-        for family in OTHERS
-        for seed in range(given.others, given.others + given.each)
-        for row in measure(family, exact_body(family, seed), _OF_BODIES)
-    ]
+    skeins = range(given.first, given.first + given.count)
+    for of_skein, share in sharing.shared(given, partial, (_of_skein, given.first + given.meshes), skeins):
+        rows += of_skein
+        shares.append(share)
+    pictured = range(given.images_from, given.images_from + given.images)
+    rendered = sharing.shared(given, partial, (from_images, given.cache), pictured)
+    pictures = [row for some in rendered for row in some]
+    rigs, others = (
+        range(given.bodies, given.bodies + given.rigs),
+        range(given.others, given.others + given.each),
+    )
+    bodies = [(name, seed) for name in BODIES for seed in rigs]
+    known = [row for some in sharing.shared(given, partial, (_of_body,), bodies) for row in some]
+    theirs = [(family, seed) for family in OTHERS for seed in others]
+    foreign = [row for some in sharing.shared(given, partial, (_of_other,), theirs) for row in some]
     stated = [name for name in ESTIMATORS if name not in ("zero-order-hold", "slice-pchip, ends: none")]
     parts = {
         "eleven stripes": judged([row for row in rows if row.of in ("11", "meshes")]),
@@ -167,7 +163,33 @@ def measure(label: str, one: Exact, estimators: Mapping[str, VolumeEstimator[Any
     return rows
 
 
-def from_images(seed: int, cache: Path) -> list[Row]:
+def _of_skein(meshes_until: int, seed: int) -> tuple[list[Row], tuple[float, float, float]]:
+    """Measure a skein with fewer and fewer stripes; of eleven error, std, true by visible."""
+    whole, rows = exact_skein(seed, 41), list[Row]()
+    share = (math.nan, math.nan, math.nan)
+    for stripes, step in STEPS.items():
+        rows += measure(str(stripes), thinned(whole, step), ESTIMATORS)
+        if stripes == 11 and seed < meshes_until:
+            rows += measure("meshes", thinned(whole, step), MESHES)
+        if stripes == 11:
+            share = (1.0 + rows[-1].error, rows[-1].std, whole.true_mm3 / whole.visible_mm3)
+    return rows, share
+
+
+def _of_body(body: tuple[str, int]) -> list[Row]:
+    """Measure a known body on a rig of its own."""
+    name, seed = body
+    family, options = BODIES[name]
+    return measure(name, exact(rig_of(seed), solid_of(family, options, seed)), _OF_BODIES)
+
+
+def _of_other(body: tuple[str, int]) -> list[Row]:
+    """Measure one of the other simulator's bodies."""
+    family, seed = body
+    return measure(family, exact_body(family, seed), _OF_BODIES)
+
+
+def from_images(cache: Path, seed: int) -> list[Row]:
     """Estimate one rendered skein; nothing is taken from the truth but the calibration."""
     truth = exact_skein(seed)
     rows = []

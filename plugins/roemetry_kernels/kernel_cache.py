@@ -27,7 +27,6 @@ import itertools
 import os
 import re
 import shutil
-import signal
 import sys
 import time
 import warnings
@@ -39,6 +38,8 @@ from typing import Any
 
 from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
+
+from roemetry.run.time_limit import not_counted
 
 
 def _count_apart() -> None:
@@ -227,8 +228,10 @@ def compiled_in_turns(compiled: Any, source: Path) -> Any:
             return compile_now(given)
         signature = given
         turn = nullcontext() if _is_kept(compiled, signature) else _turn(source)
-        # numba's lock first: threads of this process that waited for each other's files could wait for ever
-        with global_compiler_lock, turn, _undisturbed():
+        # A stage's time limit is for what it does, not for compiling nor for waiting for others that compile,
+        # and LLVM's callbacks would swallow it. numba's lock comes before the turn: threads of this process
+        # that waited for each other's files could wait for ever.
+        with not_counted(), global_compiler_lock, turn, _without_collector():
             try:
                 return compile_now(signature)
             except NumbaError:
@@ -263,27 +266,15 @@ def _is_kept(compiled: Any, signature: Any) -> bool:
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Keep Python's garbage collector and the alarm of a stage's time limit away from the compiler.
-
-    The collector looks at all that a compiler holds and finds nothing. The alarm is for what a stage does,
-    not for its compilation, and LLVM's callbacks would swallow it.
-    """
-    collects, left_s = gc.isenabled(), _alarm_in(0.0)
+def _without_collector() -> Iterator[None]:
+    """Keep Python's garbage collector away: it looks at all that a compiler holds and finds nothing."""
+    collects = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        _alarm_in(left_s)
         if collects:
             gc.enable()
-
-
-def _alarm_in(seconds: float) -> float:
-    """Set the time until the process's alarm, 0 for none, and return what was left of it."""
-    if not hasattr(signal, "setitimer"):
-        return 0.0
-    return signal.setitimer(signal.ITIMER_REAL, seconds)[0]
 
 
 @contextmanager

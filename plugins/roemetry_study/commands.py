@@ -31,6 +31,10 @@ Key = Annotated[
 Environment = Annotated[
     str, typer.Option("--environment", help="Temperature and whatever else matters, for the certificate.")
 ]
+Jobs = Annotated[
+    int,
+    typer.Option("--jobs", "-j", min=1, help="Worker processes; the values are the same for any number."),
+]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
 
 
@@ -105,10 +109,7 @@ def accept(
     ],
     out: Out = None,
     key: Key = None,
-    jobs: Annotated[
-        int,
-        typer.Option("--jobs", "-j", min=1, help="Worker processes; the values are the same for any number."),
-    ] = 1,
+    jobs: Jobs = 1,
     cluster: Annotated[str | None, cluster_option()] = None,
     debug: Debug = False,
 ) -> None:
@@ -209,6 +210,8 @@ def plan(
         float,
         typer.Option("--weigh-half-width", min=0.0, help="Desired half width of their mean, as a fraction."),
     ] = 0.01,
+    jobs: Jobs = 1,
+    cluster: Annotated[str | None, cluster_option()] = None,
     debug: Debug = False,
 ) -> None:
     """Find out how many parts, operators, trials or weighed samples a study needs, by simulation.
@@ -218,7 +221,15 @@ def plan(
     from roemetry_study.reports import of_plan
 
     for line in of_plan(
-        part_std, repeatability_std, operator_std, run, value, half_width, weigh_std, weigh_half_width
+        part_std,
+        repeatability_std,
+        operator_std,
+        run,
+        value,
+        half_width,
+        weigh_std,
+        weigh_half_width,
+        executor_of(cluster, jobs),
     ):
         typer.echo(line)
 

@@ -14,12 +14,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.errors import DataError
+from roemetry.errors import DataError, InterruptedRunError
 from roemetry.records.arrays import Floats
+from roemetry.run.executors import Executor, Lost
+from roemetry.run.workers import Processes
 from roemetry_study.table import Reading, StudyTable
 from roemetry_study.variance import Components, Effect, analyse, average_range
 
@@ -253,6 +257,7 @@ def plan(
     operator_std: float,
     sizes: Sequence[tuple[int, int, int]] = SIZES,
     studies: int = STUDIES,
+    executor: Executor | None = None,
 ) -> Iterator[Size]:
     """Simulate studies of each size.
 
@@ -265,6 +270,8 @@ def plan(
         Parts, operators and trials of each; one operator where `operator_std` is 0 will do.
     studies
         Simulated for each size.
+    executor
+        What does the work, by default this process; the sizes are the same for any.
 
     Raises
     ------
@@ -276,18 +283,28 @@ def plan(
             f"parts vary by {part_std:g}, readings by {repeatability_std:g}: both must be above 0",
             hint="parts: standard deviation of the process; readings: the instrument's, from one part",
         )
-    for parts, operators, trials in sizes:
+    tasks = [(size, study) for size in sizes for study in range(studies)]
+    stds = part_std, repeatability_std, operator_std
+    results = (executor or Processes(1)).in_order(partial, (_share_found, stds), tasks)
+    for size in sizes:
         found = []
-        for study in range(studies):
-            rng = np.random.default_rng([parts, operators, trials, study])
-            made = analyse(
-                simulated(rng, (parts, operators, trials), part_std, repeatability_std, operator_std)
-            )
-            low, high = made.interval(lambda draws: 100.0 * draws["gauge"] / draws["total"])
-            share = 100.0 * made.std["gauge"] / made.std["total"]
-            found.append((share, max(high - share, share - low)))
+        for one in islice(results, studies):
+            if isinstance(one, Lost):
+                raise InterruptedRunError(f"a simulated study was lost: {one.why}")
+            found.append(one)
         middle = np.median(np.array(found), axis=0)
-        yield Size(parts, operators, trials, float(middle[0]), float(middle[1]))
+        yield Size(*size, float(middle[0]), float(middle[1]))
+
+
+def _share_found(
+    stds: tuple[float, float, float], task: tuple[tuple[int, int, int], int]
+) -> tuple[float, float]:
+    """Give the %GRR that one simulated study finds, and the upper half of its interval's width."""
+    size, study = task
+    made = analyse(simulated(np.random.default_rng([*size, study]), size, *stds))
+    low, high = made.interval(lambda draws: 100.0 * draws["gauge"] / draws["total"])
+    share = 100.0 * made.std["gauge"] / made.std["total"]
+    return share, max(high - share, share - low)
 
 
 def simulated(

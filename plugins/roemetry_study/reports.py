@@ -353,6 +353,7 @@ def of_plan(
     half_width: float | None,
     weigh_std: float | None,
     weigh_half_width: float,
+    executor: Executor,
 ) -> Iterator[str]:
     """Say how large a study must be."""
     from roemetry_study.gauge import plan, samples_for_mean
@@ -381,7 +382,7 @@ def of_plan(
     yield f"parts vary by {part_std:.4g}, readings by {repeatability_std:.4g}, operators {operator_std:.4g}"
     yield "parts  operators  trials  readings   %GRR  half width of its 95 % interval, %"
     enough = None
-    for size in plan(part_std, repeatability_std, operator_std):
+    for size in plan(part_std, repeatability_std, operator_std, executor=executor):
         yield (
             f"{size.parts:5}  {size.operators:9}  {size.trials:6}  {size.readings:8}  {size.percent:5.1f}  "
             f"{size.half_width_percent:.1f}"

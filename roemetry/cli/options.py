@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +17,16 @@ def set_option(told: str) -> Any:
     return typer.Option("--set", metavar="KEY=VALUE", help=f"{told}; may be given several times.")
 
 
-def out_option(told: str) -> Any:
+def out_option(told: str, *, parser: Callable[[str], Path] | None = None) -> Any:
     """Give ``--out``."""
-    return typer.Option("--out", "-o", help=told)
+    return typer.Option("--out", "-o", help=told, parser=parser, metavar=None if parser is None else "PATH")
+
+
+def place(text: str) -> Path:
+    """Read a path, or a URL, which typer's own reader would take the double stroke from."""
+    from roemetry.io.remote import path_of
+
+    return path_of(text, Path())
 
 
 def next_folder(recipe: Path, ending: str = "") -> Path:

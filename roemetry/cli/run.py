@@ -19,7 +19,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, set_option
+from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, place, set_option
 from roemetry.records import Estimate, Measurement
 from roemetry.records.units import MM3_PER_CM3, stated
 
@@ -32,7 +32,11 @@ def run(
     recipe: Annotated[Path, typer.Argument(help="A recipe file, or a folder with a recipe.yaml in it.")],
     out: Annotated[
         Path | None,
-        out_option("Folder for the results, created if needed; default: results/NAME-1, then -2, …"),
+        out_option(
+            "Folder for the results, created if needed, or a URL such as s3://plant/monday; default: "
+            "results/NAME-1, then -2, …",
+            parser=place,
+        ),
     ] = None,
     jobs: Annotated[
         int,
@@ -153,11 +157,11 @@ def _stopped_by_signals() -> Iterator[Callable[[], None]]:
 
 
 def _described(outcome: Outcome) -> dict[str, object]:
-    from roemetry.run.record import RECORD, read_record
+    from roemetry.run.record import read_record
 
     return {
         "folder": str(outcome.folder),
-        "record": str(outcome.folder / RECORD),
+        "record": str(outcome.record),
         "counts": dict(outcome.counts),
         "files": [str(file) for file in outcome.files],
         "faults": list(outcome.sink_faults),
@@ -170,7 +174,7 @@ def _show(recipe: Recipe, outcome: Outcome) -> None:
     from rich.console import Console
 
     from roemetry.cli.run import problems_of, table_of
-    from roemetry.run.record import RECORD, read_record
+    from roemetry.run.record import read_record
 
     console = Console()
     console.print(table_of(recipe.product, read_record(outcome.folder), sum(outcome.counts.values())))
@@ -180,7 +184,7 @@ def _show(recipe: Recipe, outcome: Outcome) -> None:
     console.print(f"{counts or 'nothing measured'}", highlight=False)
     if outcome.drift is not None:
         console.print(f"drifting: {outcome.drift.text}", highlight=False, markup=False, soft_wrap=True)
-    for file in (outcome.folder / RECORD, *outcome.files[:10]):
+    for file in (outcome.record, *outcome.files[:10]):
         console.print(f"  {file}", highlight=False, soft_wrap=True)
 
 
@@ -223,7 +227,7 @@ def _memory_mb() -> float | None:
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    folder: Annotated[Path, typer.Argument(parser=place, metavar="FOLDER", help="Folder or URL of a run.")],
     product: Annotated[
         str | None,
         typer.Option(
@@ -246,7 +250,10 @@ def report(
 
 
 def export(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run; or a calibration file.")],
+    folder: Annotated[
+        Path,
+        typer.Argument(parser=place, metavar="FOLDER", help="Folder or URL of a run; or a calibration file."),
+    ],
     sink: Annotated[
         str,
         typer.Argument(

@@ -178,6 +178,10 @@ def _cannot_write(path: Path, error: OSError) -> OutputError:
             hint="choose another with --out",
         )
     why = error.strerror or str(error)
+    if isinstance(path, Url):
+        return OutputError(
+            f"{path}: cannot be written: {why}", hint="is there such a bucket, and may it be written to?"
+        )
     return OutputError(
         f"{path}: cannot be written: {why}",
         hint="free some space or choose another folder with --out; what was written before is whole, "

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import io
+import os
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Iterable, Iterator
@@ -64,6 +65,10 @@ class Url(type(Path())):  # type: ignore[misc]  # pathlib's class for this syste
     def __str__(self) -> str:
         return str(super().__str__()).replace(":/", "://", 1)
 
+    def __truediv__(self, name: str | os.PathLike[str]) -> Url:
+        """Give what lies in the folder."""
+        return Url(super().__truediv__(name))
+
     def absolute(self) -> Url:
         """Give the URL: there is nothing that it is relative to."""
         return self
@@ -91,6 +96,12 @@ class Url(type(Path())):  # type: ignore[misc]  # pathlib's class for this syste
         with _said_plainly(self):
             system, name = _system(self)
             system.put_file(str(file), name)
+        self.forget()
+
+    def forget(self) -> None:
+        """Let the object be fetched anew when it is read next."""
+        _ahead.begun.pop(self, None)
+        _ahead.read.pop(self, None)
 
     def exists(self, **_: Any) -> bool:
         """Say whether there is an object or a folder."""

@@ -27,6 +27,7 @@ from roemetry.io.files import LineFile, exclusive, make_folder, sha256_of, write
 from roemetry.io.remote import Url, read_ahead
 from roemetry.records import AcquisitionReference, Reason, Trace
 from roemetry.run.executors import Executor, Lost
+from roemetry.run.parts import INDEX, Parts, copied, in_bucket
 from roemetry.run.pipeline import Pipeline, frame_of
 from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, read_record, rows_of, summed_up
 from roemetry.run.rows import failed, measurements_of
@@ -49,6 +50,11 @@ class Outcome:
     drift: Reason | None = None
     """What moves in the course of the run; None for nothing."""
 
+    @property
+    def record(self) -> Path:
+        """The record; in a bucket the index of its parts."""
+        return self.folder / (INDEX if isinstance(self.folder, Url) else RECORD)
+
 
 def run_recipe(
     recipe: Recipe,
@@ -67,7 +73,7 @@ def run_recipe(
     recipe
         What to do.
     folder
-        Where to write; created if needed.
+        Where to write; created if needed. Or a `roemetry.io.remote.Url`: the record is in parts there.
     jobs
         Worker processes; results are the same, and in the same order, for any number.
     executor
@@ -94,9 +100,20 @@ def run_recipe(
 
         refuse_doubtful(recipe, _doubts_of(recipe))
     references = recipe.references()
+    executor = executor or Processes(jobs)
+    if isinstance(folder, Url):
+        with in_bucket(folder, RECORD, resume=resume) as (local, parts):
+            found = _run(recipe, local, references, executor, resume, debug, on_progress, parts)
+        files = tuple(_in(folder, file, local) for file in found.files)
+        return replace(found, folder=folder, files=files)
     make_folder(folder)
     with exclusive(folder):
-        return _run(recipe, folder, references, executor or Processes(jobs), resume, debug, on_progress)
+        return _run(recipe, folder, references, executor, resume, debug, on_progress)
+
+
+def _in(place: Url, file: Path, local: Path) -> Path:
+    """Give where a file of a working folder lies in the bucket."""
+    return place / file.relative_to(local) if file.is_relative_to(local) else file
 
 
 def _run(
@@ -107,10 +124,13 @@ def _run(
     resume: bool,
     debug: bool,
     on_progress: Callable[[int, int], None],
+    parts: Parts | None = None,
 ) -> Outcome:
     done = acquisitions_to_keep(recipe, folder, references, resume=resume)
     provenance = provenance_of(recipe, len(references))
     write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
+    if parts is not None:
+        parts.begin(folder / PROVENANCE)
     to_do = [reference for reference in references if reference.id not in done]
     seconds: dict[str, list[float]] = {}
     finished = len(references) - len(to_do)
@@ -119,8 +139,11 @@ def _run(
     with TemporaryDirectory(prefix=".traces-", dir=folder) as traces:
         kept = KeptTraces(Path(traces), frozenset(reference.id for reference in references[:replayed]))
         with LineFile(folder / RECORD) as record:
-            for lines, took in measure_all(recipe, to_do, executor, debug, kept):
+            measured = measure_all(recipe, to_do, executor, debug, kept)
+            for reference, (lines, took) in zip(to_do, measured, strict=True):
                 record.append("\n".join(lines))
+                if parts is not None:
+                    parts.grown(reference.id, len(lines))
                 finished += 1
                 for stage, value in took.items():
                     seconds.setdefault(stage, []).append(value)
@@ -147,6 +170,11 @@ def derive(
     Those of one `product`, by the id of its row or its acquisition, go to a folder of their own.
     Acquisitions whose traces were not `kept` are traced again where a sink asks for them.
     """
+    if isinstance(folder, Url):
+        lines = None if product is None else [row.to_json() for row in rows_of(folder, product)]
+        with copied(folder, lines, RECORD) as local:
+            made, faults_there = derive(recipe, local, provenance, debug=debug, product=product)
+        return tuple(_in(folder, file, local) for file in made), faults_there
     # The record has the uncertainties; the replay is for pictures.
     source, pipeline = recipe.source.make(), Pipeline(recipe, draws=0)
     references: dict[str, AcquisitionReference] = {}

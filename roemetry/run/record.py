@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from roemetry.io.files import LineFile, sha256_of, whole_file
 from roemetry.io.remote import Url
 from roemetry.records import AcquisitionReference, Measurement, Reason
 from roemetry.run.motion_trend import MotionTrend
+from roemetry.run.parts import INDEX, Part, bytes_of, fetch, parts_of
 
 RECORD = "measurements.jsonl"
 PROVENANCE = "provenance.json"
@@ -20,38 +21,59 @@ PROVENANCE = "provenance.json"
 
 def read_record(folder: Path) -> Iterator[Measurement]:
     """Give the measurements of a run, one at a time; DataError where one stands twice."""
-    path = folder / RECORD
     seen: set[int] = set()  # of a long run the hashes of the ids take less memory than the ids
+    for place, line in _lines_of(folder):
+        try:
+            row = Measurement.from_json(line)
+        except DataError as error:
+            if not line.endswith("\n"):
+                raise DataError(
+                    f"{place}: the last line is cut off: the run was stopped in it",
+                    hint="`roemetry run` with --resume takes it away and goes on",
+                ) from error
+            raise DataError(f"{place}: {error.message}", hint=error.hint) from error
+        mark = hash(row.id)
+        if mark in seen and (first := _place_of(folder, row.id)) != place:
+            raise DataError(
+                f"{place}: {row.id} stands in line {first.rpartition(':')[2]} already"
+                if first.rpartition(":")[0] == place.rpartition(":")[0]
+                else f"{place}: {row.id} stands in {first} already",
+                hint="it was put together by hand, or by two runs; run again with another --out",
+            )
+        seen.add(mark)
+        yield row
+
+
+def _lines_of(folder: Path) -> Iterator[tuple[str, str]]:
+    """Give the lines of a record, in one file or in parts, and where each stands."""
+    path = folder / RECORD
     try:
-        with path.open(encoding="utf-8") as file:
-            for number, line in enumerate(file, start=1):
-                try:
-                    row = Measurement.from_json(line)
-                except DataError as error:
-                    if not line.endswith("\n"):
-                        raise DataError(
-                            f"{path}:{number}: the last line is cut off: the run was stopped in it",
-                            hint="`roemetry run` with --resume takes it away and goes on",
-                        ) from error
-                    raise DataError(f"{path}:{number}: {error.message}", hint=error.hint) from error
-                mark = hash(row.id)
-                if mark in seen and (first := _line_of(path, row.id)) < number:
-                    raise DataError(
-                        f"{path}:{number}: {row.id} stands in line {first} already",
-                        hint="it was put together by hand, or by two runs; run again with another --out",
-                    )
-                seen.add(mark)
-                yield row
+        if not isinstance(folder, Url) and path.exists():
+            with path.open(encoding="utf-8") as file:
+                for number, line in enumerate(file, start=1):
+                    yield f"{path}:{number}", line
+            return
+        for part in _parts_of(folder):
+            path = folder / part.file
+            for number, raw in enumerate(bytes_of(folder, part).splitlines(keepends=True), start=1):
+                yield f"{path}:{number}", raw.decode()
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: damaged: byte {error.start} of a block is not UTF-8") from error
     except OSError as error:
         raise OutputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def _line_of(path: Path, name: str) -> int:
-    """Give the number of the first line that holds a row."""
-    with path.open(encoding="utf-8") as file:
-        return next(n for n, line in enumerate(file, start=1) if Measurement.from_json(line).id == name)
+def _parts_of(folder: Path) -> tuple[Part, ...]:
+    """Read the index of a record in parts; OutputError where there is no record in the folder at all."""
+    try:
+        return parts_of(folder)
+    except OSError as error:
+        raise OutputError(f"{folder / RECORD}: cannot be read: {error.strerror or error}") from error
+
+
+def _place_of(folder: Path, name: str) -> str:
+    """Give where the first row of a name stands."""
+    return next(place for place, line in _lines_of(folder) if Measurement.from_json(line).id == name)
 
 
 def rows_of(folder: Path, name: str) -> list[Measurement]:
@@ -60,8 +82,8 @@ def rows_of(folder: Path, name: str) -> list[Measurement]:
     marks = [f'"acquisition": {json.dumps(one, ensure_ascii=False)},'.encode() for one in (name, acquisition)]
     found: list[Measurement] = []
     try:
-        with path.open("rb") as file:
-            for line in file:
+        for lines in _stretches(folder, (name, acquisition)):
+            for line in lines:
                 if marks[0] in line or marks[1] in line:
                     found.append(Measurement.from_json(line.decode()))
                 elif found:
@@ -73,6 +95,18 @@ def rows_of(folder: Path, name: str) -> list[Measurement]:
     return found
 
 
+def _stretches(folder: Path, acquisitions: Sequence[str]) -> Iterator[Iterable[bytes]]:
+    """Give the lines of a record: of its file, or of each part that may hold one of these acquisitions."""
+    path = folder / RECORD
+    if not isinstance(folder, Url) and path.exists():
+        with path.open("rb") as file:
+            yield file
+        return
+    for part in _parts_of(folder):
+        if any(part.lowest <= name <= part.highest for name in acquisitions):
+            yield bytes_of(folder, part).splitlines(keepends=True)
+
+
 def acquisitions_to_keep(
     recipe: Recipe, folder: Path, references: Sequence[AcquisitionReference], *, resume: bool
 ) -> set[str]:
@@ -82,13 +116,16 @@ def acquisitions_to_keep(
     another recipe's.
     """
     path = folder / RECORD
-    if not path.exists() or path.stat().st_size == 0:
+    in_parts = not path.exists() and (folder / INDEX).exists()  # copied from a bucket by hand
+    if not in_parts and (not path.exists() or path.stat().st_size == 0):
         return set()
     if not resume:
         raise OutputError(
             f"{folder}: there is a run in this folder already",
             hint="go on with it by --resume, or choose another folder with --out",
         )
+    if in_parts:
+        fetch(folder, _parts_of(folder), path)
     with LineFile(path):
         pass  # opening it takes a half line away
     by_id = {reference.id: reference for reference in references}

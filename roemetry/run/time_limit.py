@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 from types import FrameType
 
 
@@ -30,13 +29,35 @@ def time_limit(limit_s: float | None) -> Iterator[None]:
         with _alarm(limit_s):
             yield
     else:
-        watch, thread = _watch(), threading.get_ident()
-        begun = watch.begin(thread, limit_s)
+        thread = threading.get_ident()
+        begun = _watch.begin(thread, limit_s)
         try:
             yield
         finally:
             if begun:
-                watch.end(thread)
+                _watch.end(thread)
+
+
+@contextmanager
+def not_counted() -> Iterator[None]:
+    """Stop the clock of this thread's limit, if it has one, for what runs within; afterwards it goes on.
+
+    In a main thread with a timer, that of whoever set it.
+    """
+    if threading.current_thread() is threading.main_thread() and hasattr(signal, "setitimer"):
+        left_s = signal.setitimer(signal.ITIMER_REAL, 0.0)[0]
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, left_s)
+        return
+    thread = threading.get_ident()
+    left = _watch.pause(thread)
+    try:
+        yield
+    finally:
+        if left is not None:
+            _watch.begin(thread, left)
 
 
 @contextmanager
@@ -65,17 +86,29 @@ class _Watch:
         self._raised: set[int] = set()
         self._looks_at = float("inf")
         self._changed = threading.Condition()
-        threading.Thread(target=self._run, name="roemetry-time-limit", daemon=True).start()
+        self._started = False
 
     def begin(self, thread: int, limit_s: float) -> bool:
         """Give a thread so long from now; False where it has a limit already, which stays."""
         with self._changed:
             if thread in self._ends:
                 return False
+            if not self._started:
+                self._started = True
+                threading.Thread(target=self._run, name="roemetry-time-limit", daemon=True).start()
             self._ends[thread] = end = time.monotonic() + limit_s
             if end < self._looks_at:  # else it looks early enough: most stages end long before
                 self._changed.notify()
             return True
+
+    def pause(self, thread: int) -> float | None:
+        """Take the limit away for a while and give what is left of it, s; None where there is none.
+
+        Where its time is up already, `StageTimeout` is on its way and arrives.
+        """
+        with self._changed:
+            end = self._ends.pop(thread, None)
+        return None if end is None else max(0.0, end - time.monotonic())
 
     def end(self, thread: int) -> None:
         """Take the limit away; what was raised and did not arrive never will."""
@@ -103,6 +136,4 @@ def _raise_in(thread: int, error: type[BaseException] | None) -> None:
     ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), given)
 
 
-@cache
-def _watch() -> _Watch:
-    return _Watch()
+_watch = _Watch()

@@ -62,6 +62,49 @@ def test_the_density_that_the_truth_was_made_with_is_found(dataset, tmp_path, op
     assert "there is a comparison in this folder already" in capsys.readouterr().err
 
 
+def test_a_search_that_was_stopped_goes_on_where_it_was(
+    dataset, tmp_path, optimise, monkeypatch, capsys
+) -> None:
+    """Stopped in the first and the second batch and in the last word; nothing is measured twice."""
+    asked: list[int] = []
+
+    class Stops:
+        after = 10**9
+
+        def in_order(self, make, given, tasks):
+            worker = make(*given)
+            for task in tasks:
+                if len(asked) == Stops.after:
+                    raise KeyboardInterrupt
+                asked.append(len(task.measured))
+                yield worker(task)
+
+    monkeypatch.setattr("roemetry_tools.optimise.executor_of", lambda cluster, jobs: Stops())
+    words = [dataset(4), "--vary", f"{DENSITY}=0.7..1.1", "--by", "weight", "--trials", "9", "--out"]
+    assert optimise(*words, tmp_path / "whole") == 0
+    work = list(asked)
+    assert len(work) == 3 + 3 + 1  # three acquisitions to choose by, twice; one held out
+    asked.clear()
+    for Stops.after in (2, 5, 6):
+        assert optimise(*words, tmp_path / "out", *(["--resume"] if asked else [])) == 130
+    assert optimise(*words, tmp_path / "out") == 1
+    assert "there is a search in this folder that was stopped" in capsys.readouterr().err
+    Stops.after = 10**9
+    assert optimise(*words, tmp_path / "out", "--seed", "2", "--resume") == 1
+    assert "of another recipe, space, seed or data" in capsys.readouterr().err
+    assert optimise(*words, tmp_path / "out", "--resume") == 0
+    assert asked[:6] == work[:6]  # which of them reach the last word depends on times
+    assert len(asked) == len(work)
+
+    def tried(name: str) -> list[dict[str, str]]:
+        with (tmp_path / name / "trials.csv").open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        return [{key: value for key, value in row.items() if key not in ("time_ms", "front")} for row in rows]
+
+    assert tried("out") == tried("whole")
+    assert not list((tmp_path / "out").glob(".*"))
+
+
 def test_no_specimen_is_in_both_parts(dataset) -> None:
     path = dataset(6)
     items = path.parent / "items.jsonl"

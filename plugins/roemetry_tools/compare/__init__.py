@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 
 from roemetry.calibrating.known_products import read_labels
-from roemetry.cli.options import cluster_option, executor_of, next_folder
+from roemetry.cli.options import cluster_option, executor_of, next_folder, place
 from roemetry.cli.progress import progress
 from roemetry.errors import ConfigurationError, InterruptedRunError
 from roemetry.io.files import write_whole
@@ -52,8 +52,10 @@ def compare(
         list[Path] | None,
         typer.Option(
             "--data",
-            help="A data set with truth; all of its items are measured; may be given several times: their "
-            "figures are shown side by side; default: where the images are.",
+            parser=place,
+            metavar="PATH",
+            help="A data set with truth, or its URL; all of its items are measured; may be given several "
+            "times: their figures are shown side by side; default: where the images are.",
         ),
     ] = None,
     labels: Annotated[

@@ -1,21 +1,29 @@
-"""What was scored, kept until a comparison is finished: one that was stopped goes on where it was."""
+"""What was scored, kept until a comparison is finished: one that was stopped goes on where it was.
+
+Kept is JSON, compressed line by line: a folder may come from a stranger, and reading it runs no code of his.
+"""
 
 from __future__ import annotations
 
 import base64
 import hashlib
 import json
-import pickle
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from types import TracebackType
+from typing import Any
+
+import numpy as np
 
 from roemetry.errors import OutputError
-from roemetry.io.files import LineFile
+from roemetry.io.files import LineFile, first_fault
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.score import Scored
+from roemetry_tools.compare.stripes import CentreScore
 from roemetry_tools.compare.variants import Variant, recipe_of
 
 KEPT = ".scored"
@@ -36,7 +44,7 @@ class KeptScores:
         self._path = folder / KEPT
         if not resume:
             self._path.unlink(missing_ok=True)
-        of = _identity(variants, data, terms)
+        of = identity_of(variants, data, terms)
         with LineFile(self._path):
             pass  # opening it takes a half line away
         with self._path.open(encoding="ascii") as file:
@@ -54,12 +62,22 @@ class KeptScores:
         """Give what was kept before, in order."""
         with self._path.open(encoding="ascii") as file:
             file.readline()
-            for line in file:
-                yield pickle.loads(zlib.decompress(base64.b64decode(line)))
+            for number, line in enumerate(file, start=2):
+                try:
+                    found: Found = _reader().validate_python(
+                        json.loads(zlib.decompress(base64.b64decode(line)))
+                    )
+                except (ValueError, RecursionError, zlib.error) as error:
+                    raise OutputError(
+                        f"{self._path}:{number}: damaged, or of another roemetry ({first_fault(error)})",
+                        hint="begin the comparison again in another folder",
+                    ) from error
+                yield found
 
     def add(self, found: Found) -> None:
         """Keep what was scored of the next acquisition."""
-        self._file.append(base64.b64encode(zlib.compress(pickle.dumps(found, protocol=5), 1)).decode())
+        plain = json.dumps(found, default=_plain, separators=(",", ":"))
+        self._file.append(base64.b64encode(zlib.compress(plain.encode(), 1)).decode())
 
     def __enter__(self) -> KeptScores:
         return self
@@ -70,7 +88,37 @@ class KeptScores:
         self._file.__exit__(kind, error, trace)
 
 
-def _identity(variants: Sequence[Variant], data: Data, terms: Terms) -> str:
+_NOT_SCORED = ("marks", "relief", "solution", "slice_stripe", "slice_area_mm2", "slice_spacing_mm")
+"""What of a grade is drawn, what an estimator goes on from, and a volume's slices: no figure needs them."""
+
+
+def _plain(value: Any) -> Any:
+    """Make a record, an array or a mapping what JSON knows; NaN and infinity stay what they are."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    kind: type[Any] = type(value)
+    if is_dataclass(kind):
+        plain = {name: getattr(value, name) for name in _names(kind)}
+        return plain | {"counts": value.held} if isinstance(value, CentreScore) else plain
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"{type(value).__name__} cannot be kept as JSON")
+
+
+@cache
+def _names(kind: type[Any]) -> tuple[str, ...]:
+    return tuple(f.name for f in fields(kind) if f.name not in _NOT_SCORED)
+
+
+@cache
+def _reader() -> Any:
+    """Make pydantic's reader of a line when the first one is read: it takes a while."""
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(Found)
+
+
+def identity_of(variants: Sequence[Variant], data: Data, terms: Terms) -> str:
     """Hash what decides the scores, and which variants are measured."""
     whole = hashlib.sha256(json.dumps(data.described().get("sha256")).encode())
     for told in (*map(recipe_of, variants), sorted(data.labels.items()), terms.stop_early):

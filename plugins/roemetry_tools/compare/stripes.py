@@ -7,10 +7,13 @@ which measured product is which true one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import PlainValidator
 
 from roemetry.records import AMBIGUOUS, Frame, Peaks, Reason, StripeMap, StripeTruth
 from roemetry.records.arrays import Flags, Floats, Integers
@@ -69,6 +72,14 @@ _BINS = 3000
 _EDGES = np.linspace(-REACH_PX, REACH_PX, _BINS + 1)
 
 
+def _counts(held: Sequence[Sequence[int]]) -> Integers:
+    """(bin,) counts, from the bins that hold something and what they hold."""
+    counts = np.zeros(_BINS, np.int64)
+    place, number = np.array(held, np.int64).reshape(2, -1)
+    counts[place] = number
+    return counts
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class CentreScore:
     """How peaks lie beside true centres; scores of images add up.
@@ -85,17 +96,23 @@ class CentreScore:
     sum_px: float = 0.0
     sum_px2: float = 0.0
     """sum_px, sum_px2: sums of the errors, found minus true along the row, px, and of their squares, px²."""
-    counts: Integers = field(default_factory=lambda: np.zeros(_BINS, np.int64))
+    counts: Annotated[NDArray[np.int64], PlainValidator(_counts)] = field(
+        default_factory=lambda: np.zeros(_BINS, np.int64)
+    )
     """(bin,) errors counted in bins of 0.002 px from −3 to 3 px."""
 
     def __add__(self, other: CentreScore) -> CentreScore:
         return CentreScore(*(getattr(self, one.name) + getattr(other, one.name) for one in fields(self)))
 
+    @property
+    def held(self) -> tuple[list[int], list[int]]:
+        """Bins that hold something, of one image a tenth of all, and what they hold."""
+        place = np.flatnonzero(self.counts)
+        return place.tolist(), self.counts[place].tolist()
+
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel between processes with the bins that hold something: of one image a tenth of all."""
-        place = np.flatnonzero(self.counts).astype(np.int16)
-        figures = (self.true, self.matched, self.peaks, self.sum_px, self.sum_px2)
-        return _unpacked, (figures, place, self.counts[place])
+        """Travel between processes with what the bins hold."""
+        return _unpacked, (self.true, self.matched, self.peaks, self.sum_px, self.sum_px2, self.held)
 
     def quantile_px(self, share: float) -> float:
         """Give the error that this share of the errors lies below, px; NaN without errors."""
@@ -114,10 +131,10 @@ class CentreScore:
         return (self.quantile_px(0.84135) - self.quantile_px(0.15865)) / 2
 
 
-def _unpacked(figures: tuple[int, int, int, float, float], place: Integers, held: Integers) -> CentreScore:
-    counts = np.zeros(_BINS, np.int64)
-    counts[place] = held
-    return CentreScore(*figures, counts)
+def _unpacked(
+    true: int, matched: int, peaks: int, sum_px: float, sum_px2: float, held: Sequence[Sequence[int]]
+) -> CentreScore:
+    return CentreScore(true, matched, peaks, sum_px, sum_px2, _counts(held))
 
 
 def score_centres(peaks: Peaks, truth: StripeTruth) -> tuple[CentreScore, CentreScore]:

@@ -17,19 +17,21 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, set_option
+from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, place, set_option
 from roemetry.cli.progress import progress
-from roemetry.errors import DataError
+from roemetry.errors import ConfigurationError, DataError, InterruptedRunError
 from roemetry.io.files import write_whole
 from roemetry.stages.registry import discover
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.comparison import compare
 from roemetry_tools.compare.data import Data
+from roemetry_tools.compare.kept import KEPT, KeptScores
 from roemetry_tools.compare.ranking import Compared
 from roemetry_tools.compare.score import Scored
 from roemetry_tools.compare.tables import WORDS, warning_of
 from roemetry_tools.compare.variants import Space, Variant
 from roemetry_tools.compare.write import ItemsFile, write_comparison
+from roemetry_tools.optimise.kept_trials import TRIED, KeptTrials
 from roemetry_tools.optimise.search import Search, Trial, finalists, to_csv
 from roemetry_tools.optimise.trueness import Trueness, field_of
 
@@ -66,7 +68,12 @@ def optimise(
     trials: Annotated[int, typer.Option("--trials", min=1, help="Recipes to try.")] = 50,
     data: Annotated[
         Path | None,
-        typer.Option("--data", help="A data set with truth; default: the one that the images belong to."),
+        typer.Option(
+            "--data",
+            parser=place,
+            metavar="PATH",
+            help="A data set with truth, or its URL; default: the one that the images belong to.",
+        ),
     ] = None,
     by: Annotated[
         Quantity | None,
@@ -92,6 +99,7 @@ def optimise(
     ] = None,
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, help="Worker processes.")] = 1,
     cluster: Annotated[str | None, cluster_option()] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a stopped search in --out.")] = False,
     sets: Annotated[list[str] | None, set_option("Change the recipe for all trials")] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
@@ -103,6 +111,10 @@ def optimise(
     Exit code: 0 searched; 1 the data do not suffice, or no trial measured anything; 2 the recipe or the
     command line is wrong.
     """
+    if resume and out is None:
+        raise ConfigurationError(
+            "--resume needs --out", hint="name the folder of the search that was stopped"
+        )
     if cluster is not None:  # the workers stand in folders of their own
         recipe, data = recipe.absolute(), None if data is None else data.absolute()
     executor = executor_of(cluster, jobs)
@@ -115,24 +127,44 @@ def optimise(
     choosing, rest = every.parted(held_out, seed)
     folder = out or next_folder(base.recipe.path, "-optimise")
     began, last, terms = datetime.now(UTC), Trueness(field), Terms(seed=seed)
-    with ItemsFile(folder) as items:
-        with progress("trying", quiet=False) as shown:
-            for tried in search.run(trials, choosing, field, executor, shown):
-                write_whole(folder / TRIALS, to_csv(tried, space.axes))
-        chosen = finalists(search.trials)
-        if not chosen:
-            raise DataError(f"no trial measured anything: {search.trials[0].fault}")
+    try:
+        with (
+            ItemsFile(folder, resume=resume) as items,
+            KeptTrials(folder, space, choosing, (seed, field), resume=resume) as kept,
+        ):
+            with progress("trying", quiet=False) as shown:
+                for tried in search.run(trials, choosing, field, executor, kept, shown):
+                    write_whole(folder / TRIALS, to_csv(tried, space.axes))
+            chosen = finalists(search.trials)
+            if not chosen:
+                (folder / TRIED).unlink()
+                raise DataError(f"no trial measured anything: {search.trials[0].fault}")
 
-        def add(variant: Variant, scored: Scored) -> None:
-            items.add(variant, scored)
-            last.add(variant, scored)
+            def add(variant: Variant, scored: Scored) -> None:
+                items.add(variant, scored)
+                last.add(variant, scored)
 
-        variants = [base, *(one.variant for one in chosen if one.variant.number)]
-        with progress("comparing", quiet=False) as shown:
-            compared = compare(
-                variants, rest, terms=terms, executor=executor, on_scored=add, on_progress=shown
-            )
+            variants = [base, *(one.variant for one in chosen if one.variant.number)]
+            with (
+                KeptScores(folder, variants, rest, terms, resume=resume) as scores,
+                progress("comparing", quiet=False) as shown,
+            ):
+                compared = compare(
+                    variants,
+                    rest,
+                    terms=terms,
+                    executor=executor,
+                    kept=scores,
+                    on_scored=add,
+                    on_progress=shown,
+                )
+    except KeyboardInterrupt as stop:
+        raise InterruptedRunError(
+            f"stopped; what was tried is kept in {folder}", hint=f"go on with --out {folder} --resume"
+        ) from stop
     files = write_comparison(folder, compared, rest, terms=terms, command=sys.argv[1:], began=began)
+    for name in (TRIED, KEPT):
+        (folder / name).unlink()
     console = Console()
     console.print(_table(search.trials[0], chosen, last, compared))
     for line in _last_word(chosen[0], field, last, compared):

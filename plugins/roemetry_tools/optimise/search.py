@@ -15,6 +15,7 @@ from roemetry_tools.compare.aggregate import Figures
 from roemetry_tools.compare.comparison import measure
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.variants import Axis, Space, Variant, recipe_of
+from roemetry_tools.optimise.kept_trials import KeptTrials, TrialFigures
 from roemetry_tools.optimise.trueness import Trueness
 
 _BATCH = 8
@@ -76,11 +77,13 @@ class Search:
         data: Data,
         field: str,
         executor: Executor,
+        kept: KeptTrials,
         on_progress: Callable[[int, int], None] = lambda done, of: None,
     ) -> Iterator[list[Trial]]:
         """Try `count` recipes and the recipe as it is; give all that was tried after every batch.
 
-        `field` is that of the truth; `on_progress` is called with (proposals done, of how many).
+        `field` is that of the truth. What was `kept` of a search that was stopped is not measured again.
+        `on_progress` is called with (proposals done, of how many).
         """
         known: dict[object, Trial] = {}
         new = [self._space.as_it_is]
@@ -95,7 +98,7 @@ class Search:
                 if recipe_of(variant) not in seen:
                     seen.add(recipe_of(variant))
                     new.append(replace(variant, number=len(known) + len(new)))
-            for trial in _tried(new, data, field, executor):
+            for trial in _tried(new, data, field, executor, kept):
                 known[recipe_of(trial.variant)] = trial
                 self.trials.append(trial)
             new = []
@@ -109,26 +112,41 @@ class Search:
             yield self.trials
 
 
-def _tried(variants: Sequence[Variant], data: Data, field: str, executor: Executor) -> Iterator[Trial]:
-    """Measure recipes on the same acquisitions; one that cannot be made is a trial with its reason."""
+def _tried(
+    variants: Sequence[Variant], data: Data, field: str, executor: Executor, kept: KeptTrials
+) -> Iterator[Trial]:
+    """Give what recipes come to on the same acquisitions, from what was kept or measured now."""
+    new = [variant for variant in variants if kept.figures_of(variant) is None]
+    measured = _measured(new, data, field, executor, kept) if new else {}
+    for variant in variants:
+        yield Trial(variant, *(kept.figures_of(variant) or measured[variant.number]))
+
+
+def _measured(
+    variants: Sequence[Variant], data: Data, field: str, executor: Executor, kept: KeptTrials
+) -> dict[int, TrialFigures]:
+    """Measure recipes, by their numbers; one that cannot be made has its reason."""
     trueness = Trueness(field)
     figures: dict[int, Figures] = {}
     if any(variant.recipe is not None for variant in variants):
-        figures, _ = measure(variants, data, executor=executor, on_scored=trueness.add)
+        with kept.scores(variants) as scores:
+            figures, _ = measure(variants, data, executor=executor, kept=scores, on_scored=trueness.add)
+    tried: dict[int, TrialFigures] = {}
     for variant in variants:
         found = figures.get(variant.number)
         if found is None:
-            yield Trial(variant, math.nan, 0, math.nan, variant.fault)
+            tried[variant.number] = math.nan, 0, math.nan, variant.fault
             continue
         fault = f"no acquisition was measured: {found.causes[0].text}" if found.failed else ""
         error_pct, missing = trueness.of(variant.number)
-        yield Trial(
-            variant,
+        tried[variant.number] = (
             math.nan if found.failed else error_pct,
             missing,
             1000.0 * found.seconds["frame"].median if "frame" in found.seconds else math.nan,
             fault,
         )
+    kept.add([(variant, tried[variant.number]) for variant in variants])
+    return tried
 
 
 def front_of(trials: Sequence[Trial]) -> list[Trial]:

@@ -6,14 +6,17 @@ import ast
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
+from numba import types
 
+from roemetry.run.time_limit import StageTimeout, time_limit
 from roemetry_kernels import kernel_cache
 from roemetry_kernels.compiling import kernel
 
@@ -173,21 +176,31 @@ def test_who_waited_long_enough_compiles_for_himself(tmp_path: Path, monkeypatch
         fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no alarm on this system")
-def test_a_stage_s_alarm_waits_until_its_kernel_is_compiled() -> None:
-    def rung(number: int, frame: object) -> None:
-        raise TimeoutError
+@pytest.mark.parametrize("in_thread", [False, True])
+def test_a_stage_s_time_limit_waits_until_its_kernel_is_compiled(in_thread: bool) -> None:
+    """Of a kernel whose compilation takes longer than the stage may."""
 
-    before = signal.signal(signal.SIGALRM, rung)
-    try:
-        signal.setitimer(signal.ITIMER_REAL, 0.2)
-        with kernel_cache._undisturbed():
-            time.sleep(0.4)
-        with pytest.raises(TimeoutError):
-            time.sleep(5.0)
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+    def compiles_slowly(signature: object) -> str:
+        time.sleep(0.3)
+        return "compiled"
+
+    class Compiled:
+        compile = staticmethod(compiles_slowly)
+        overloads: ClassVar[dict[object, object]] = {}
+
+    def stage() -> tuple[object, str]:
+        made = None
+        try:
+            with time_limit(0.15):
+                made = kernel_cache.compiled_in_turns(Compiled(), Path(__file__)).compile((types.float64,))
+                while True:
+                    time.sleep(0.01)
+        except StageTimeout:
+            return made, "stopped afterwards"
+
+    with ThreadPoolExecutor(1) as pool:
+        found = pool.submit(stage).result(10.0) if in_thread else stage()
+    assert found == ("compiled", "stopped afterwards")
 
 
 def test_every_kernel_is_compiled_by_the_decorator_that_looks_at_all_sources() -> None:
