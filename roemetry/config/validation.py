@@ -74,7 +74,7 @@ def _placed(path: tuple[Step, ...], place: Place, said: str) -> str:
 
 
 def _names(said: str, found: object) -> bool:
-    """Tell whether a sentence needs no "found": it names a key, or the value already, or is about a section."""
+    """Tell whether a sentence needs no "found": it names a key or the value, or is about a section."""
     return said.startswith("unknown key") or isinstance(found, Mapping) or f"`{found}`" in said
 
 
