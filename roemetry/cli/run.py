@@ -410,7 +410,7 @@ def _figure(estimate: Estimate, digits: int, per: float = 1.0) -> str:
 
 
 def _verdict(row: Measurement, *, graded: bool) -> str:
-    """Say what a product is like, and what is to be done with it; in a column of grades "measured" is none."""
+    """Say what a product is like, and what is to be done with it; "measured" is no grade."""
     shape = "" if row.grade is None else row.grade.label
     if row.decision is None:
         return shape or ("not graded" if graded and row.status == "measured" else row.status)
