@@ -33,12 +33,18 @@ def progress(what: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
             left = time_left_s(time.monotonic() - began, task.completed - before, task.remaining or 0.0)
             return Text("" if math.isnan(left) else f"{timedelta(seconds=round(left))} left")
 
+    class Counted(MofNCompleteColumn):
+        """Nothing where a step does not say how far it is."""
+
+        def render(self, task: Task) -> Text:
+            return Text("") if task.total is None else super().render(task)
+
     def move(done: int, of: int) -> None:
         nonlocal before
         before = float(done) if math.isnan(before) else before
         bar.update(task, completed=done, total=of)
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeLeft())
+    columns = (TextColumn("{task.description}"), BarColumn(), Counted(), TimeLeft())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)
         yield move

@@ -385,7 +385,7 @@ def table_of(title: str, measurements: Iterable[Measurement], rows: int) -> Tabl
         coding = row.coding
         table.add_row(
             Text(row.id),
-            Text(_verdict(row), style=_COLOURS[row.status]),
+            Text(_verdict(row, graded=graded), style=_COLOURS[row.status]),
             *((_displacement(row),) if of_pixels else _in_units(row)),
             "" if coding is None else f"{coding.stripes_seen}/{coding.stripes}",
             "" if coding is None else str(coding.ambiguous),
@@ -416,10 +416,10 @@ def _figure(estimate: Estimate, digits: int, per: float = 1.0) -> str:
     return value if math.isnan(estimate.std) else f"{value} ± {estimate.std / per:.{digits}f}"
 
 
-def _verdict(row: Measurement) -> str:
-    """Say what a product is like, and what is to be done with it."""
+def _verdict(row: Measurement, *, graded: bool) -> str:
+    """Say what a product is like, and what is to be done with it; "measured" is no grade."""
     shape = "" if row.grade is None else row.grade.label
     if row.decision is None:
-        return shape or row.status
+        return shape or ("not graded" if graded and row.status == "measured" else row.status)
     lane = f" ({row.decision.lane})" if row.decision.lane else ""
     return f"{shape}{' → ' if shape else ''}{row.decision.label}{lane}"

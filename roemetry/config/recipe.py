@@ -86,10 +86,7 @@ class Recipe:
         """Give the stages with their plugins and options as a table, for notebooks."""
         rows = [("source", f"{self.source.registered.entry.name}: {self.source_path}")]
         rows.append(("calibration", str(self.calibration_path or "none: results are in pixels")))
-        for kind, one in self.stages.items():
-            told = one.options.model_dump(mode="json", exclude_defaults=True)
-            options = ", ".join(f"{name}: {value}" for name, value in told.items())
-            rows.append((kind, one.registered.entry.name + (f" ({options})" if options else "")))
+        rows += [(kind, repr(one)) for kind, one in self.stages.items()]
         rows.append(("uncertainty", self.uncertainty))
         return table(self.product, rows)
 

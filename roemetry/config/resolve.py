@@ -22,13 +22,19 @@ class Choice(Protocol):
     options: dict[str, Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ResolvedStage:
     """A stage that was chosen: who provides it, its class, its checked options."""
 
     registered: Registered
     stage: type[Stage[Any]]
     options: StageOptions
+
+    def __repr__(self) -> str:
+        """Give the plugin's name, and the options that differ from their defaults."""
+        told = self.options.model_dump(mode="json", exclude_defaults=True)
+        options = ", ".join(f"{name}: {value}" for name, value in told.items())
+        return self.registered.entry.name + (f" ({options})" if options else "")
 
     def make(self) -> Any:
         """Make the stage."""

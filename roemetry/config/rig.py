@@ -31,6 +31,7 @@ from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.io.files import is_file
 from roemetry.io.yaml_source import read
 from roemetry.records import Block, Board, Pyramid, Ruler, Sensor, SpherePlate, Staircase
+from roemetry.records.display import table
 from roemetry.stages.registry import Registry, discover
 
 _Target = TypeVar("_Target")
@@ -167,7 +168,7 @@ class RigFile(Section):
     calibrator: Choice = Field(default_factory=lambda: StageChoice(use="block-linear"))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Rig:
     """A checked rig file, its target read, its classes imported."""
 
@@ -187,6 +188,19 @@ class Rig:
     scan_coder: ResolvedStage | None = None
     scan_assembler: ResolvedStage | None = None
     """scan_source, scan_coder, scan_assembler: what reads and places the scan, where there is one."""
+
+    def __repr__(self) -> str:
+        """Give one line: the rig's name, its stages, and how many images of what it has."""
+        return f"Rig({str(self.path)!r}, {', '.join(': '.join(row) for row in self._rows())})"
+
+    def _repr_html_(self) -> str:
+        """Give its stages and how many images of what it has as a table, for notebooks."""
+        return table(self.file.name, self._rows())
+
+    def _rows(self) -> list[tuple[str, str]]:
+        images = ", ".join(f"{len(paths)} {shows}" for shows, paths in self.images.items() if paths)
+        stages = [("extractor", repr(self.extractor)), ("calibrator", repr(self.calibrator))]
+        return [*stages, ("stripes", str(self.file.stripes or "not stated")), ("images", images or "none")]
 
     @property
     def ruler(self) -> Ruler | None:

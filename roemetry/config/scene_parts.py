@@ -321,7 +321,7 @@ def family_options(
         return None
     if family not in models:
         close = difflib.get_close_matches(family, models, n=1)
-        mean = f"; did you mean `{close[0]}`?" if close else ""
+        mean = f"; did you mean `{close[0]}`?" if close else "."
         known = ", ".join((NONE, *models))
         raise MisfitError((("family",), f"there is no product family `{family}`{mean} There are: {known}"))
     try:

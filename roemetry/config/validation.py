@@ -65,14 +65,17 @@ def _faults(
         yield _placed(
             (*path, *below),
             place,
-            said
-            if found is _NOT_SAID or said.startswith("unknown key")
-            else f"{said}, found {_shown(found)}",
+            said if found is _NOT_SAID or _names(said, found) else f"{said}, found {_shown(found)}",
         )
 
 
 def _placed(path: tuple[Step, ...], place: Place, said: str) -> str:
     return f"{place(path)}: {'.'.join(str(step) for step in path) or 'the file'}: {said}"
+
+
+def _names(said: str, found: object) -> bool:
+    """Tell whether a sentence needs no "found": it names a key or the value, or is about a section."""
+    return said.startswith("unknown key") or isinstance(found, Mapping) or f"`{found}`" in said
 
 
 _NOT_SAID = object()

@@ -232,10 +232,21 @@ def _other_extractor(recipe: Recipe, calibration: Calibration) -> tuple[Reason, 
     return (
         Reason(
             "other-extractor",
-            f"calibrated with the extractor `{made_with.get('use')}` {made_with.get('options', {})}, "
-            f"measured with `{now['use']}` {now['options']}: their peaks may differ by a part of a pixel",
+            f"calibrated with the extractor {_in_words(made_with, now)}, measured with "
+            f"{_in_words(now, made_with)}: their peaks may differ by a part of a pixel",
         ),
     )
+
+
+def _in_words(extractor: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    """Name an extractor; of the same one with other options, those that differ."""
+    name = f"`{extractor.get('use')}`"
+    if extractor.get("use") != other.get("use"):
+        return name
+    others = other.get("options", {})
+    options = extractor.get("options", {}).items()
+    differ = [f"{key}: {value}" for key, value in options if key not in others or others[key] != value]
+    return f"{name} with {', '.join(differ)}" if differ else name
 
 
 def _once(reasons: list[Reason]) -> tuple[Reason, ...]:

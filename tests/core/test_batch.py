@@ -421,7 +421,9 @@ def test_bits_in_use(measured, tmp_path: Path, rig) -> None:
 def test_another_extractor_than_the_calibrations_is_said(measured, rig) -> None:
     sets = ("stages.extractor.use=local-maximum", "stages.extractor.options={}")
     (row,) = measured(rig.image(rig.x_px(rig.dome())), sets=sets)
-    assert "other-extractor" in [reason.code for reason in row.reasons]
+    (said,) = [reason.text for reason in row.reasons if reason.code == "other-extractor"]
+    assert "measured with `local-maximum`:" in said
+    assert "{" not in said
 
 
 @pytest.mark.parametrize(

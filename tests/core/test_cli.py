@@ -157,6 +157,7 @@ def test_eighty_columns_hold_grade_and_all_figures_with_their_uncertainties() ->
     for words in ("skein_01#1", "good", "120.4 ± 11.2", "17.39 ± 0.04", "7/7"):
         assert words in text
     assert max(map(len, text.splitlines())) <= 80
+    assert "not graded" in shown(row, replace(row, grade=None)), "measured is no grade"
     bare = shown(replace(measured(), weight=Weight(Estimate(20.37, math.nan))))
     assert "20.4" in bare
     assert "±" not in bare, "what is not stated"

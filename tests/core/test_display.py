@@ -1,6 +1,7 @@
 """Records in a console and in a notebook, and as other libraries' tables."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,6 +32,14 @@ def test_every_record_of_a_trace_fits_on_one_line(recipe: Recipe, image: np.ndar
         assert "\n" not in repr(record)
     assert len(repr(recipe)) <= 400
     assert "extractor" in repr(recipe)
+
+
+def test_a_rig_and_the_stages_of_a_recipe_fit_on_one_line(recipe: Recipe) -> None:
+    rig = roemetry.Rig.load(Path(__file__).parents[2] / "recipes/herring_roe/rig.yaml")
+    for shown in (rig, *recipe.stages.values()):
+        assert len(repr(shown)) <= 300
+        assert "\n" not in repr(shown)
+    assert "1 block, 1 belt" in rig._repr_html_()
 
 
 def test_arrays_are_shown_by_type_and_shape() -> None:
