@@ -11,9 +11,10 @@ length. So one pass tells all three components, but only while the body is the o
 
 The covariance is that of the fit, with as many independent points as there are lengths over which their
 errors hang together, and of the body's own lengths. What the calibration's errors make of t is told by its
-derivatives, found by moving each of their independent steps by one standard deviation: the same errors enlarge
-the products, so both add up (a volume's std is 0.060 % where their root of squares would be 0.046 %). A body
-that is its own mirror image cannot tell which way the belt runs: `right` or `left` in the image has to be said.
+derivatives, found by moving each of their independent steps by one standard deviation: the same errors
+enlarge the products, so both add up (a volume's std is 0.060 % where their root of squares is 0.046 %). A
+body that is its own mirror image cannot tell which way the belt runs: `right` or `left` in the image has to
+be said.
 """
 
 from __future__ import annotations
@@ -41,7 +42,10 @@ _POINTS = 6000
 """Points that are fitted: their own noise then is a hundredth of what calibrations allow."""
 _YAWS_DEG = range(-40, 45, 5)
 """Turns that are tried first: squares and grids look alike every 90°."""
-_ROUNDS = 40
+_ROUNDS, _ROUNDS_FIRST = 40, 15
+"""At most; and so many until strangers are left out, which a quarter of the points tell."""
+_SETTLED_MM = 1e-5
+"""No point moves farther with another round: a thousandth of their scatter."""
 _TOGETHER = 9.0
 """Points whose errors hang together as one: three neighbouring rows in three neighbouring lines."""
 _FAR = 3.0
@@ -125,7 +129,7 @@ def measured_motion(
 
 
 def _per_parameter(steps: list[Floats], changes: list[Floats], calibration: Calibration) -> Floats:
-    """Give (3, parameter) derivatives of the motion by parameters, from its changes with independent steps."""
+    """Give (3, parameter) derivatives of the motion, from its changes with independent steps."""
     size = len(calibration.covariance)
     if not steps:
         return np.zeros((3, size))
@@ -199,15 +203,16 @@ def _fitted(
                 "the scan does not fit the target anywhere: another body, or the belt runs the other way"
             )
         kept = some[good]
-        kept = kept[:: max(1, kept.size // _POINTS)]
+        wanted = _POINTS if round_ > _ROUNDS_FIRST else _POINTS // 4
+        kept = kept[:: max(1, kept.size // wanted)]
         residual, slopes = _linearised(unknowns, seen[kept], way[kept], surface)
         size = np.sqrt((slopes**2).sum(axis=0))
         scaled = slopes / size
         change = -np.linalg.solve(scaled.T @ scaled, scaled.T @ residual) / size
         unknowns = unknowns + change
         spread = 1.4826 * float(np.median(np.abs(residual)))
-        limit = max(_FAR * spread, 0.8 * limit) if round_ < 15 else _FAR * spread
-        if round_ > 18 and np.abs(slopes @ change).max() < 1e-6:
+        limit = max(_FAR * spread, 0.8 * limit) if round_ < _ROUNDS_FIRST else _FAR * spread
+        if round_ > _ROUNDS_FIRST + 3 and np.abs(slopes @ change).max() < _SETTLED_MM:
             break
     return unknowns, kept
 

@@ -22,9 +22,9 @@ class Motion(Shown):
     covariance: Floats
     """(3, 3) mm², of the motion as it is found with this very calibration."""
     per_parameter: Floats = field(default_factory=lambda: np.zeros((3, 0)))
-    """(3, parameter) by how much the motion is another one, mm, if a parameter of the calibration is larger by
-    1, in the order in which they stand: a scale that is wrong makes body and motion larger together. Without
-    columns the covariance holds the calibration's errors as well."""
+    """(3, parameter) by how much the motion is another one, mm, if a parameter of the calibration is larger
+    by 1, in the order in which they stand: a scale that is wrong makes body and motion larger together.
+    Without columns the covariance holds the calibration's errors as well."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
