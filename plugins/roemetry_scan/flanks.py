@@ -94,10 +94,13 @@ def conic(
     rows[0, 0] += _RIM_PRIOR * count
     fit = np.linalg.solve(rows, sums)
     r = min(max(fit[0] if math.isnan(rim) else rim / high, 0.0), 0.95 * z0 / high)
+    for m in range(1, 4):
+        sums[m] -= rows[m, 0] * r
     if r != fit[0]:  # a rim below the belt, or above what is seen
-        for m in range(3):
-            sums[m + 1] -= rows[m + 1, 0] * r
         fit[1:] = np.linalg.solve(rows[1:, 1:].copy(), sums[1:].copy())
+    if fit[3] > 0.0:  # a hyperbola, which turns upwards again before it comes to the rim: at most a parabola
+        fit[3] = 0.0
+        fit[1:3] = np.linalg.solve(rows[1:3, 1:3].copy(), sums[1:3].copy())
     a, b, c = fit[1] + r * r, fit[2], fit[3]
     # the curve goes through the last point
     a = (z0 / high - r) ** 2

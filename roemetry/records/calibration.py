@@ -83,6 +83,9 @@ class Calibration(Shown):
         if self.rays is not None:
             fits = self.rays.stripe_count == stripes and self.rays.parameters.size == size
             check.require(fits, "rays are of another number of stripes, or of other parameters")
+        if self.motion is not None:
+            fits = self.motion.per_parameter.shape[1] in (0, size)
+            check.require(fits, f"motion.per_parameter has not as many columns as parameters, {size}")
         check.finish()
 
     @property
@@ -135,13 +138,14 @@ class Calibration(Shown):
     ) -> Calibration:
         """Give the calibration with its parameters, in the order in which they stand, moved by a step.
 
-        `view_of` as in `redraws`.
+        Its motion moves along, for it was found with these parameters. `view_of` as in `redraws`.
         """
         parameters, start = {}, 0
         for name, array in self.parameters.items():
             parameters[name] = array + step[start : start + array.size].reshape(array.shape)
             start += array.size
-        moved = replace(self, parameters=parameters, view=None)
+        motion = None if self.motion is None else self.motion.with_parameters(step)
+        moved = replace(self, parameters=parameters, view=None, motion=motion)
         return moved if view_of is None else replace(moved, view=view_of(moved))
 
     @property

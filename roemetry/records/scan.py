@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,24 +20,37 @@ class Motion(Shown):
     mm_per_count: Floats
     """(3,) mm; its Z is not 0 where the calibration's belt plane leans against the way the belt runs."""
     covariance: Floats
-    """(3, 3) mm²."""
+    """(3, 3) mm², of the motion as it is found with this very calibration."""
+    per_parameter: Floats = field(default_factory=lambda: np.zeros((3, 0)))
+    """(3, parameter) by how much the motion is another one, mm, if a parameter of the calibration is larger
+    by 1, in the order in which they stand: a scale that is wrong makes body and motion larger together.
+    Without columns the covariance holds the calibration's errors as well."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
         vector = check.array("mm_per_count", np.float64, (3,))
         covariance = check.array("covariance", np.float64, (3, 3))
+        check.array("per_parameter", np.float64, (3, None))
         sound = bool(np.isfinite(vector).all() and np.isfinite(covariance).all())
         check.require(sound and bool(np.abs(vector).max(initial=0.0) > 0), "the motion is zero or not finite")
         check.finish()
 
+    def with_parameters(self, step: Floats) -> Motion:
+        """Give the motion that a calibration whose parameters are larger by a step would have found."""
+        if not self.per_parameter.size:
+            return self
+        return replace(self, mm_per_count=self.mm_per_count + self.per_parameter @ step)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, as they stand in a calibration file."""
-        return {"mm_per_count": self.mm_per_count.tolist(), "covariance": self.covariance.tolist()}
+        told = {"mm_per_count": self.mm_per_count.tolist(), "covariance": self.covariance.tolist()}
+        return told | ({"per_parameter": self.per_parameter.tolist()} if self.per_parameter.size else {})
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Motion:
         """Read what `to_dict` wrote; KeyError, ValueError or DataError where it is damaged."""
-        return cls(np.array(data["mm_per_count"], np.float64), np.array(data["covariance"], np.float64))
+        vector, covariance = (np.array(data[name], np.float64) for name in ("mm_per_count", "covariance"))
+        return cls(vector, covariance, np.array(data.get("per_parameter", np.zeros((3, 0))), np.float64))
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,11 +9,21 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.scans import PYRAMID, lines_of, measured, recipe_of, scene, stripes_of, true_calibration
+from benchmarks.scans import (
+    PYRAMID,
+    drawn_calibration,
+    lines_of,
+    measured,
+    recipe_of,
+    scene,
+    stripes_of,
+    true_calibration,
+)
 from roemetry.config.recipe import Recipe
 from roemetry.errors import CalibrationError
 from roemetry.records import Measurement, ScanLines, StripeMap
 from roemetry.records.calibration import Calibration
+from roemetry.records.scan import Motion
 from roemetry.run import scan
 from roemetry.run.open_parts import split_products
 from roemetry_pinhole.pinhole_plane import PinholePlane
@@ -94,6 +104,30 @@ def test_one_pass_of_a_frustum_tells_the_motion(mm_per_count: tuple[float, float
     assert (np.abs(found.mm_per_count - true) < 5 * std).all()
 
 
+def test_a_motion_moves_with_the_calibration_it_was_found_with() -> None:
+    """A scale that is wrong makes belt's way and products larger together: no root of squares holds that."""
+    sim = scene(
+        240, 200, family="truncated-pyramid", counts_per_line=60,
+        product={"length_mm": 70, "width_mm": 70, "top_share": 0.4, "height_mm": 20, "turn_range_deg": 15},
+    )  # fmt: skip
+    stripes, lines = stripes_of(sim, 3, 0.02)
+    calibration = drawn_calibration(sim, np.random.default_rng(5))
+
+    def motion_by(one: Calibration) -> Motion:
+        return BeltMotion().motion(stripes, lines, one, PinholePlane(), PYRAMID)[0]
+
+    step = max(
+        calibration.independent_steps(), key=lambda one: float(np.abs(one[:2]).max())
+    )  # of a focal length
+    found = motion_by(calibration)
+    again = motion_by(calibration.shifted(step, PinholePlane().view))
+    moved = replace(calibration, motion=found).shifted(step, PinholePlane().view).motion
+    assert moved is not None
+    change = (again.mm_per_count - found.mm_per_count)[0]
+    assert abs(change) > 5e-5 * 0.02
+    assert (moved.mm_per_count - found.mm_per_count)[0] == pytest.approx(change, rel=0.1)
+
+
 def test_another_body_than_the_one_described_is_refused() -> None:
     stripes, lines = stripes_of(frustum(), 1, 0.02)
     without = replace(true_calibration(frustum()), motion=None)
@@ -103,10 +137,15 @@ def test_another_body_than_the_one_described_is_refused() -> None:
 
 def test_a_calibration_keeps_its_motion(tmp_path: Path) -> None:
     calibration = true_calibration(frustum())
+    motion = Motion(
+        np.array([0.02, 0.0, 1e-5]), np.eye(3), np.arange(3.0 * len(calibration.covariance)).reshape(3, -1)
+    )
+    calibration = replace(calibration, motion=motion)
     calibration.save(tmp_path / "with.yaml")
     again = Calibration.load(tmp_path / "with.yaml")
     assert again.motion is not None
-    assert np.array_equal(again.motion.mm_per_count, calibration.motion.mm_per_count)  # type: ignore[union-attr]
+    assert np.array_equal(again.motion.mm_per_count, motion.mm_per_count)
+    assert np.array_equal(again.motion.per_parameter, motion.per_parameter)
     replace(calibration, motion=None).save(tmp_path / "without.yaml")
     assert "motion" not in (tmp_path / "without.yaml").read_text()
     assert Calibration.load(tmp_path / "without.yaml").motion is None
