@@ -301,7 +301,8 @@ def rows_through(fan: LaserFan, feet_mm: ArrayLike) -> Floats:
 
 def with_across(fan: LaserFan, feet_mm: ArrayLike) -> LaserFan:
     """Return the grid of a fan and of lines across it, which meet its lines' run at these places."""
-    planes = rows_through(fan, np.sort(np.atleast_1d(feet_mm))[::-1])
+    # normals point the way in which the planes are ordered, as those of the fan itself do
+    planes = -rows_through(fan, np.sort(np.atleast_1d(feet_mm))[::-1])
     axis = np.array([fan.line_axis[1], -fan.line_axis[0], 0.0])
     return replace(
         fan,
