@@ -1,21 +1,22 @@
 """Calibration of camera, both families of planes of a grid, and belt, from a board in many poses.
 
 Each family is calibrated by itself by `pinhole-plane`, with all its checks: the lines across in the images
-turned by 90°. Both see the same boards, so both find the same camera and belt c but for what the lines add.
-The first family's are kept. The planes p of the other follow as what they would be found to be if c were
-known to be that (conditional expectation of normal variables, Rao 1973, 8a.2):
+turned by 90°. Both see the same boards, and find camera and belt c, each better where its own lines help. How
+their errors go together is not known, since the boards' marks are in both; covariance intersection (Julier,
+Uhlmann 1997) joins them so that the result is not surer than it may be, however they do:
 
-    p + G (c₁ − c₂),   G = Σ_pc Σ_cc⁻¹,   covariance Σ_pp − G Σ_cp + G Σ_c₁ Gᵀ,   with the others G Σ_c₁,all.
+    C⁻¹ = ½ C₁⁻¹ + ½ C₂⁻¹,   c = C (½ C₁⁻¹ c₁ + ½ C₂⁻¹ c₂).
 
-Left out is that planes of both families share the boards' poses beyond what c carries. How far c₁ and c₂ lie
-apart, in their standard deviations, is a check: more than the lines could add means that one family was
-numbered wrongly or the projector moved.
+The planes p of each family then are what they would have been found to be if c had been known to be that
+(conditional expectation of normal variables, Rao 1973, 8a.2): p + G (c − cₖ), G = Σ_pc Cₖ⁻¹, with the
+covariance Σ_pp − G Σ_cp + G C Gᵀ. How far c₁ and c₂ lie apart, in standard deviations, is a check: a family
+that was numbered wrongly, or a projector that moved, shows in it.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -108,35 +109,47 @@ def _none(size: tuple[int, int]) -> Peaks:
 def _joined(upright: Calibration, across: Calibration) -> Calibration:
     """Give the calibration of both families."""
     columns = upright.image_size[1]
-    count, other = upright.stripe_count, across.stripe_count
-    shared = np.r_[0:12, 12 + 3 * count : 15 + 3 * count]
-    first, all_first = _flat(upright), upright.covariance
-    # turning back: a signed permutation, and a shift of the principal point
-    back = _turning(other, columns)
-    turned, shift = back[:, :-1], back[:, -1]
-    second, covariance = turned @ _flat(across) + shift, turned @ across.covariance @ turned.T
-    mine = np.r_[0:12, 12 + 3 * other : 15 + 3 * other]
-    planes = np.arange(12, 12 + 3 * other)
-    known, gain = _known(covariance[np.ix_(mine, mine)], covariance[np.ix_(planes, mine)])
-    apart = first[shared] - second[mine]
-    off = float(np.sqrt(max(apart @ known @ apart, 0.0) / max(np.linalg.matrix_rank(known), 1)))
+    turning = _turning(across.stripe_count, columns)
+    back = turning[:, :-1]
+    one = _Found.of(_flat(upright), upright.covariance, upright.stripe_count)
+    other = _Found.of(
+        back @ _flat(across) + turning[:, -1], back @ across.covariance @ back.T, across.stripe_count
+    )
+    apart = one.shared - other.shared
+    surely = _inverse(one.covariance + other.covariance)
+    off = float(np.sqrt(max(apart @ surely @ apart, 0.0) / max(np.linalg.matrix_rank(surely), 1)))
     if off > _APART_MAX:
         raise CalibrationError(
             f"the two families of lines tell of cameras {off:.1f} standard deviations apart",
             hint="is `lines` right, and did neither projector nor camera move between the images?",
         )
-    found = (second[planes] + gain @ apart).reshape(other, 3)
-    own = covariance[np.ix_(planes, planes)] - gain @ covariance[np.ix_(mine, planes)]
-    follow = gain @ all_first[shared]
-    whole = np.block([[all_first, follow.T], [follow, own + follow[:, shared] @ gain.T]])
-    parameters = {**upright.parameters, ACROSS: found}
-    size = across.image_size
-    seen = turned_parameters(parameters, columns)
+    weights = 0.5 * _inverse(one.covariance), 0.5 * _inverse(other.covariance)
+    covariance = _inverse(weights[0] + weights[1])
+    shared = one.shared + covariance @ weights[1] @ (other.shared - one.shared)
+    # in the order of the parameters: camera, planes, belt, planes across
+    follow = np.vstack([np.eye(15)[:12], one.gain, np.eye(15)[12:], other.gain])
+    whole = follow @ covariance @ follow.T
+    for first, found in ((12, one), (15 + one.planes.size, other)):
+        own = np.s_[first : first + found.planes.size]
+        whole[own, own] += found.own
+    planes = [found.planes + found.gain @ (shared - found.shared) for found in (one, other)]
+    parameters = {
+        "focal_px": shared[:2],
+        "principal_px": shared[2:4],
+        "distortion": shared[4:12],
+        "planes_per_mm": planes[0].reshape(-1, 3),
+        "belt_per_mm": shared[12:],
+        ACROSS: planes[1].reshape(-1, 3),
+    }
+    seen, size = turned_parameters(parameters, columns), across.image_size
     return replace(
         upright,
         method=METHOD,
         parameters=parameters,
         covariance=0.5 * (whole + whole.T),
+        rest_px=rest_polynomials(parameters, upright.image_size),
+        displacement_px_per_mm=displacements(parameters, upright.image_size),
+        view=view_of(parameters, upright.image_size),
         residuals={
             **upright.residuals,
             **{f"across_{name}": figure for name, figure in across.residuals.items()},
@@ -157,6 +170,29 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
     )
 
 
+class _Found(NamedTuple):
+    """Camera and belt as one family tells them, and its planes."""
+
+    shared: Floats
+    covariance: Floats
+    """shared, covariance: (15,), (15, 15) the camera's twelve numbers and the belt's three."""
+    planes: Floats
+    own: Floats
+    """planes, own: (3 n,) and the covariance that is left of them where `shared` is known."""
+    gain: Floats
+    """(3 n, 15) how they follow it."""
+
+    @classmethod
+    def of(cls, values: Floats, covariance: Floats, count: int) -> _Found:
+        """Part parameters in the order camera, planes, belt."""
+        planes = np.arange(12, 12 + 3 * count)
+        shared = np.r_[0:12, 12 + 3 * count : 15 + 3 * count]
+        known, with_them = covariance[np.ix_(shared, shared)], covariance[np.ix_(planes, shared)]
+        gain = with_them @ _inverse(known)
+        own = covariance[np.ix_(planes, planes)] - gain @ with_them.T
+        return cls(values[shared], known, values[planes], own, gain)
+
+
 def _flat(calibration: Calibration) -> Floats:
     return np.concatenate([np.ravel(one) for one in calibration.parameters.values()])
 
@@ -174,10 +210,9 @@ def _turning(lines: int, columns: int) -> Floats:
     return found
 
 
-def _known(covariance: Floats, with_them: Floats) -> tuple[Floats, Floats]:
-    """Give the inverse of what is not fixed of a covariance, and `with_them` times it."""
-    std = np.sqrt(np.diag(covariance))
-    scale = np.where(std > 0.0, 1.0 / np.where(std > 0.0, std, 1.0), 0.0)
-    inverse = np.linalg.pinv(scale[:, None] * covariance * scale, rcond=1e-10, hermitian=True)
-    inverse = scale[:, None] * inverse * scale
-    return inverse, with_them @ inverse
+def _inverse(matrix: Floats) -> Floats:
+    """Give the inverse of what is not 0 of a covariance or its inverse: 0 is what was held fixed."""
+    size = np.sqrt(np.diag(matrix))
+    scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
+    inverse = np.linalg.pinv(scale[:, None] * matrix * scale, rcond=1e-10, hermitian=True)
+    return np.asarray(scale[:, None] * inverse * scale)
