@@ -19,7 +19,7 @@ linear symmetry; the rest is ours.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -36,6 +36,8 @@ _AROUND_PX = 7
 """Side of the square over which squared gradients are averaged, px: two to three widths of a line."""
 _DIRECTED = 4.0
 """Times the squared gradient down the rows, that the one along them is in a line that crosses rows."""
+_OWN_DIRECTED = 1.5
+"""The same when the other family's light has been taken away: of lines up to 39° oblique."""
 _STEP_PX = 1.5
 """Of a line from one row to the next: lines steeper than 56° belong to the other family."""
 _GAP_ROWS = 16
@@ -77,7 +79,7 @@ class GridLines(Extractor[GridLinesOptions]):
         given = self.options
         one = Gaussian(GaussianOptions(threshold=given.threshold, width_max_px=given.width_max_px))
         frames = (frame, turned(frame))
-        along, down = _gradients(frame)
+        along, down = _gradients(frame.pixels)
         directed = along > _DIRECTED * down, np.rot90(down > _DIRECTED * along)
         light = [_light_of(one.extract(each), kept) for each, kept in zip(frames, directed, strict=True)]
         upright = _without(one, frame, np.rot90(light[1], -1))
@@ -105,11 +107,11 @@ def _light_of(peaks: Peaks, directed: Flags) -> Floats:
     return _painted(row, numbers, directed.shape)
 
 
-def _gradients(frame: Frame) -> tuple[Floats, Floats]:
+def _gradients(pixels: Any) -> tuple[Any, Any]:
     """Give the squared change of the image along its rows and down its rows, averaged around each pixel."""
     import cv2
 
-    image = cv2.GaussianBlur(frame.pixels.astype(np.float32), (0, 0), _FINE_PX)
+    image = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), _FINE_PX)
     changes = (cv2.Sobel(image, cv2.CV_32F, *way, ksize=3) for way in ((1, 0), (0, 1)))
     along, down = (cv2.boxFilter(one * one, -1, (_AROUND_PX, _AROUND_PX)) for one in changes)
     return along, down
@@ -189,8 +191,11 @@ def _without(one: Gaussian, frame: Frame, light: Floats) -> Peaks:
     peaks = one.extract(replace(frame, pixels=left))
     at = peaks.row, np.rint(peaks.x_px).astype(np.int64)
     beside = light[at]
+    # what the other family has left shows where one of its lines ends, or was not followed
+    along, down = _gradients(left)
+    clean = along[at] > _OWN_DIRECTED * down[at]
     # where both together are white, nobody knows how much of it is the other line's
-    own = (peaks.amplitude > _OWN_MIN * beside) & ~maximum_filter1d(white & (light >= 1.0), _CLIPPED_PX)[at]
+    own = clean & (peaks.amplitude > _OWN_MIN * beside) & ~maximum_filter1d(white & (light >= 1.0), _CLIPPED_PX)[at]
     with np.errstate(divide="ignore", invalid="ignore"):
         grown = np.hypot(1.0, _REMAINS * beside / peaks.amplitude)
     kept = np.flatnonzero(own)
