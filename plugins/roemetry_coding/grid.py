@@ -36,6 +36,8 @@ _OTHER = 0.5
 """Of the same: beyond it the next best plane is another."""
 _STEP_PX = 3.0
 """From row to row, by which a line that goes on does not move."""
+_STRAY_ROWS = 3
+"""Longest piece that is taken for a shadow's edge."""
 _ON_LINE_PX = 1.0
 """Down the rows, between a peak and the line of the other family that it lies on."""
 _CROSSINGS_MIN = 2
@@ -72,6 +74,7 @@ class GridPlanes(Coder[PlanesOptions]):
             across = planes.code(peaks.across, calibration.across)
         except StageError as error:
             raise StageError(f"lines across: {error.message}", hint=error.hint) from error
+        upright, across = _without_strays(upright), _without_strays(across)
         pair = _Families(calibration, calibration.across)
         met = _crossings(upright, across, pair)
         if not met.agree.size:
@@ -179,6 +182,35 @@ def _runs(x_px: Floats) -> Integers:
     return np.where(there, number, -1)
 
 
+def _without_strays(stripes: StripeMap) -> StripeMap:
+    """Leave out short pieces off the belt that a bridged gap joins to what they do not belong to.
+
+    Where the edge of a shadow cuts a line obliquely, its last rows on the belt lie beside their rest line.
+    """
+    run = _runs(np.where(stripes.seen, stripes.x_px, np.nan))
+    short = np.bincount(run[run >= 0], minlength=1) <= _STRAY_ROWS
+    out = (run >= 0) & short[run] & (stripes.product > 0)
+    if not out.any():
+        return stripes
+    rows = np.arange(stripes.rows)
+    before = np.maximum.accumulate(np.where(stripes.seen, rows, 0), axis=1)
+    after = np.minimum.accumulate(np.where(stripes.seen, rows, rows[-1])[:, ::-1], axis=1)[:, ::-1]
+    ends = np.take_along_axis(out, before, axis=1) | np.take_along_axis(out, after, axis=1)
+    return _left_out(stripes, out | (~stripes.seen & ends))
+
+
+def _left_out(stripes: StripeMap, out: Flags) -> StripeMap:
+    nan = np.where(out, np.nan, 1.0)
+    return replace(
+        stripes,
+        x_px=stripes.x_px * nan,
+        x_std_px=stripes.x_std_px * nan,
+        margin=stripes.margin * nan,
+        product=np.where(out, NOTHING, stripes.product).astype(np.int16),
+        seen=stripes.seen & ~out,
+    )
+
+
 def _kept(
     stripes: StripeMap, peaks: Peaks, stripe: Integers, row: Integers, agree: Flags
 ) -> tuple[StripeMap, int]:
@@ -192,17 +224,8 @@ def _kept(
     label = stripes.peak_stripe.copy()
     given = np.flatnonzero(label >= 0)
     label[given[out[label[given], peaks.row[given]]]] = AMBIGUOUS
-    nan = np.where(out, np.nan, 1.0)
-    return replace(
-        stripes,
-        x_px=stripes.x_px * nan,
-        x_std_px=stripes.x_std_px * nan,
-        margin=stripes.margin * nan,
-        product=np.where(out, NOTHING, stripes.product).astype(np.int16),
-        seen=stripes.seen & ~out,
-        ambiguous=stripes.ambiguous | out,
-        peak_stripe=label,
-    ), int(bad.size)
+    left = replace(_left_out(stripes, out), ambiguous=stripes.ambiguous | out, peak_stripe=label)
+    return left, int(bad.size)
 
 
 def _numbered(across: StripeMap, upright: StripeMap, met: _Met) -> StripeMap:
@@ -212,16 +235,7 @@ def _numbered(across: StripeMap, upright: StripeMap, met: _Met) -> StripeMap:
     for number in range(1, int(across.product.max(initial=0)) + 1):
         others = here[met.agree & (there == number) & (here > 0)]
         product[across.product == number] = np.bincount(others).argmax() if others.size else NOTHING
-    out = product == NOTHING
-    nan = np.where(out, np.nan, 1.0)
-    return replace(
-        across,
-        x_px=across.x_px * nan,
-        x_std_px=across.x_std_px * nan,
-        margin=across.margin * nan,
-        product=product,
-        seen=across.seen & ~out,
-    )
+    return replace(_left_out(across, product == NOTHING), product=product)
 
 
 def _asked_again(upright: StripeMap, peaks: Peaks, across: StripeMap, pair: _Families) -> StripeMap:
