@@ -187,9 +187,9 @@ def _without_strays(stripes: StripeMap) -> StripeMap:
 
     Where the edge of a shadow cuts a line obliquely, its last rows on the belt lie beside their rest line.
     """
-    run = _runs(np.where(stripes.seen, stripes.x_px, np.nan))
+    run = _runs(np.where(stripes.seen & (stripes.product > 0), stripes.x_px, np.nan))
     short = np.bincount(run[run >= 0], minlength=1) <= _STRAY_ROWS
-    out = (run >= 0) & short[run] & (stripes.product > 0)
+    out = (run >= 0) & short[run]
     if not out.any():
         return stripes
     rows = np.arange(stripes.rows)
