@@ -37,7 +37,7 @@ _APART_MAX = 3.0
 class PinholeGridOptions(StageOptions):
     """The pattern, and what is looked for."""
 
-    lines: int = Field(default=11, ge=1, le=200, description="lines across; the others are the rig's stripes")
+    lines: int = Field(default=5, ge=1, le=200, description="lines across; the others are the rig's stripes")
     lens: Literal["none", "radial", "brown", "rational"] = Field(
         default="brown",
         description="lens model: none; k1 k2; k1 k2 p1 p2 k3; or with k4 k5 k6 for very wide angles",
@@ -55,7 +55,7 @@ class PinholeGridCalibrator(Calibrator[PinholeGridOptions]):
     """Camera, lens, a plane of light for each line of both families, and the belt."""
 
     Options = PinholeGridOptions
-    capabilities = Capabilities(pattern="grid")
+    capabilities = Capabilities(pattern="grid", fixture="roemetry_pinhole.conformance:grid_observed_of")
 
     def calibrate(self, observed: CalibrationSet) -> Calibration:
         """Calibrate.

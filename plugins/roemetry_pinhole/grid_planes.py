@@ -30,7 +30,8 @@ from roemetry_pinhole.pinhole_plane import (
 
 METHOD = "pinhole-grid"
 ACROSS = "across_planes_per_mm"
-_TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""Takes the camera's frame to that of the turned image."""
 
 
 def turned_parameters(parameters: Mapping[str, Floats], columns: int) -> dict[str, Floats]:
@@ -50,15 +51,17 @@ def turned_parameters(parameters: Mapping[str, Floats], columns: int) -> dict[st
         "focal_px": parameters["focal_px"][::-1],
         "principal_px": np.array([middle[1], columns - 1.0 - middle[0]]),
         "distortion": lens,
-        "planes_per_mm": parameters[ACROSS] @ _TURN.T,
-        "belt_per_mm": _TURN @ parameters["belt_per_mm"],
+        "planes_per_mm": parameters[ACROSS] @ TURN.T,
+        "belt_per_mm": TURN @ parameters["belt_per_mm"],
     }
 
 
 class PinholeGrid(Triangulator[StageOptions]):
     """Each peak's ray meets its line's plane of light, of either family."""
 
-    capabilities = Capabilities(height_tolerance_mm=0.01, pattern="grid")
+    capabilities = Capabilities(
+        height_tolerance_mm=0.01, pattern="grid", fixture="roemetry_pinhole.conformance:grid_of"
+    )
 
     def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
         """Give a slice for each stripe, then one for each line across, with a point for each row or column.
@@ -89,7 +92,7 @@ class PinholeGrid(Triangulator[StageOptions]):
             ),
             lift_stripes(
                 across.x_px, across.x_std_px, camera_of(other), other["planes_per_mm"],
-                np.ascontiguousarray(pose[:3, :3] @ _TURN.T), pose[:3, 3],
+                np.ascontiguousarray(pose[:3, :3] @ TURN.T), pose[:3, 3],
             ),
         ]  # fmt: skip
         longest = max(rows, columns)

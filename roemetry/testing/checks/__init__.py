@@ -13,6 +13,7 @@ from roemetry.testing.checks import (
     dots,
     extractor,
     files,
+    grids,
     live,
     points,
     stripes,
@@ -41,13 +42,18 @@ ANY: tuple[Check, ...] = any_stage.CHECKS
 OF_KIND: Mapping[str, tuple[Check, ...]] = {
     kind: found for kind in KINDS if (found := tuple(check for check in _CHECKS if _kind_of(check) == kind))
 }
-OF_DOTS: Mapping[str, tuple[Check, ...]] = {
-    kind: tuple(
-        check for name, check in vars(dots).items() if name.startswith("check_") and _kind_of(check) == kind
-    )
-    for kind in ("extractor", "coder", "calibrator", "triangulator")
+OF_PATTERN: Mapping[str, Mapping[str, tuple[Check, ...]]] = {
+    pattern: {
+        kind: tuple(
+            check
+            for name, check in vars(module).items()
+            if name.startswith("check_") and _kind_of(check) == kind
+        )
+        for kind in ("extractor", "coder", "calibrator", "triangulator")
+    }
+    for pattern, module in (("dots", dots), ("grid", grids))
 }
-"""Of stages that are made for dots, instead."""
+"""Of stages that are made for other light than lines, instead."""
 
 
 def checks_of(kind: str, pattern: str = "lines") -> tuple[Check, ...]:
@@ -59,7 +65,7 @@ def checks_of(kind: str, pattern: str = "lines") -> tuple[Check, ...]:
     every stage's.
     """
     every = ANY if kind in OF_KIND and kind not in _CONNECTED else any_stage.OF_OPTIONS
-    return every + (OF_DOTS if pattern == "dots" else OF_KIND).get(kind, ())
+    return every + OF_PATTERN.get(pattern, OF_KIND).get(kind, ())
 
 
 def name_of(check: Check) -> str:
