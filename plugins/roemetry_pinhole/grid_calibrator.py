@@ -73,9 +73,10 @@ class PinholeGridCalibrator(Calibrator[PinholeGridOptions]):
                 height_max_mm=options.height_max_mm,
             )
         )
+        other = _turned(observed, options.lines)
         upright = one.calibrate(observed)
         try:
-            across = one.calibrate(_turned(observed, options.lines))
+            across = one.calibrate(other)
         except CalibrationError as error:
             raise CalibrationError(f"lines across: {error.message}", hint=error.hint) from error
         return _joined(upright, across)
@@ -132,6 +133,8 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
     for first, found in ((12, one), (15 + one.planes.size, other)):
         own = np.s_[first : first + found.planes.size]
         whole[own, own] += found.own
+    belt = 12 + one.planes.size
+    mine = np.r_[0:12, belt + 3 : len(whole), belt : belt + 3]
     planes = [found.planes + found.gain @ (shared - found.shared) for found in (one, other)]
     parameters = {
         "focal_px": shared[:2],
@@ -159,10 +162,11 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
             max(upright.height_range_mm[0], across.height_range_mm[0]),
             min(upright.height_range_mm[1], across.height_range_mm[1]),
         ),
-        notes=(*upright.notes, *(f"lines across: {note}" for note in across.notes)),
+        notes=(*upright.notes, *(f"lines across: {note}" for note in across.notes if note not in upright.notes)),
         across=replace(
             across,
             parameters=seen,
+            covariance=back.T @ whole[np.ix_(mine, mine)] @ back,
             rest_px=rest_polynomials(seen, size),
             displacement_px_per_mm=displacements(seen, size),
             view=view_of(seen, size),

@@ -27,6 +27,8 @@ _MODULES = (extractor, stripes, points, volume, weigher, classes, files, live)
 _CALLED = {"estimator": "volume"}
 _CONNECTED = ("feed", "outlet")
 """Kinds that talk to the world: no call of theirs is like another."""
+_LONG = ("calibrator", "grid")
+"""It calibrates each family as lines are, by a stage that is held to every check: a dozen calls take minutes."""
 
 
 def _kind_of(check: Check) -> str:
@@ -61,10 +63,11 @@ def checks_of(kind: str, pattern: str = "lines") -> tuple[Check, ...]:
 
     Stages that see the light are held to the checks of the pattern that they are made for.
 
-    Of a kind that the kit has no scenes for, or that holds a connection, only those of options are taken of
-    every stage's.
+    Of a kind that the kit has no scenes for, that holds a connection, or whose calls take long, only those of
+    options are taken of every stage's.
     """
-    every = ANY if kind in OF_KIND and kind not in _CONNECTED else any_stage.OF_OPTIONS
+    whole = kind in OF_KIND and kind not in _CONNECTED and (kind, pattern) != _LONG
+    every = ANY if whole else any_stage.OF_OPTIONS
     return every + OF_PATTERN.get(pattern, OF_KIND).get(kind, ())
 
 
