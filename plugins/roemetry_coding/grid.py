@@ -5,12 +5,12 @@ family crosses a line of the other, one place is seen on two planes of light, an
 both at the same height if both labels are right. If one is a stripe off, the heights differ by what a label
 is worth: how far the height moves from a plane to the next one. So a crossing agrees where heights differ by
 less than a share of that, far more than noise and far less than a label. A run of a line at more of whose
-crossings the heights differ than agree is refused.
+crossings the heights differ than agree is refused, and on a product also one that no crossing confirms.
 
 Peaks that `planes` refused are asked again: a run of them that crosses labelled lines of the other family
 has their heights there. Where all its crossings name one plane, and the next best lies far off, it is that.
 
-It cannot tell what both families get wrong alike, nor judge runs that cross nothing. Source: our own; the
+It cannot tell what both families get wrong alike. Source: our own; the
 constraint is that of Salvi, Pagès, Batlle (2004), Pattern Recognition 37:827, for grids.
 """
 
@@ -92,8 +92,8 @@ class GridPlanes(Coder[PlanesOptions]):
         if gone + gone_across:
             said = Reason(
                 "crossings-disagree",
-                f"{gone + gone_across} runs of lines were refused: where they cross lines of the other family, "
-                "heights do not agree",
+                f"{gone + gone_across} runs of lines were refused: heights do not agree where they cross the "
+                "other family, or they cross none of it",
             )
             upright = replace(upright, reasons=(*upright.reasons, said))
         return replace(upright, across=across)
@@ -161,7 +161,7 @@ def _crossings(upright: StripeMap, across: StripeMap, pair: _Families) -> _Met:
 
 
 def _beside(x_px: Floats, across: StripeMap) -> tuple[Floats, Integers]:
-    """Give (line, stripe, row) how far each line across lies below places (stripe, row), px, and their column.
+    """Give (line, stripe, row) px that lines across lie below places (stripe, row), and their column.
 
     The column counts as rows of the turned image do.
     """
@@ -214,18 +214,27 @@ def _left_out(stripes: StripeMap, out: Flags) -> StripeMap:
 def _kept(
     stripes: StripeMap, peaks: Peaks, stripe: Integers, row: Integers, agree: Flags
 ) -> tuple[StripeMap, int]:
-    """Leave out the runs that more crossings contradict than confirm, and say how many they are."""
-    run = _runs(stripes.x_px)
-    votes = np.bincount(run[stripe, row], np.where(agree, 1.0, -1.0), minlength=1)
-    bad = np.flatnonzero(votes < 0.0)
-    if not bad.size:
+    """Leave out runs that more crossings contradict than confirm, on products also those that none confirms.
+
+    Gives also how many they are.
+    """
+    out, many = np.zeros(stripes.x_px.shape, np.bool_), 0
+    for on, least in ((stripes.product > 0, 1.0), (stripes.product <= 0, 0.0)):
+        run = _runs(np.where(on, stripes.x_px, np.nan))
+        at = run[stripe, row]
+        counted = at >= 0
+        count = int(run.max(initial=-1)) + 1
+        votes = np.bincount(at[counted], np.where(agree, 1.0, -1.0)[counted], minlength=count)
+        bad = votes < least
+        out |= (run >= 0) & np.append(bad, False)[run]
+        many += int(bad.sum())
+    if not many:
         return stripes, 0
-    out = np.isin(run, bad)
     label = stripes.peak_stripe.copy()
     given = np.flatnonzero(label >= 0)
     label[given[out[label[given], peaks.row[given]]]] = AMBIGUOUS
     left = replace(_left_out(stripes, out), ambiguous=stripes.ambiguous | out, peak_stripe=label)
-    return left, int(bad.size)
+    return left, many
 
 
 def _numbered(across: StripeMap, upright: StripeMap, met: _Met) -> StripeMap:
@@ -255,7 +264,9 @@ def _asked_again(upright: StripeMap, peaks: Peaks, across: StripeMap, pair: _Fam
     near = np.sort(off, axis=1)
     sure = (near[:, 0] < _SAME) & (near[:, 1:2] > _OTHER).all(axis=1)
     product = across.product[line, at[which]]
-    fields = {name: getattr(upright, name).copy() for name in ("x_px", "x_std_px", "product", "seen", "margin")}
+    fields = {
+        name: getattr(upright, name).copy() for name in ("x_px", "x_std_px", "product", "seen", "margin")
+    }
     label, ambiguous = upright.peak_stripe.copy(), upright.ambiguous.copy()
     for number in np.unique(run[which]):
         mine = run[which] == number
@@ -275,7 +286,8 @@ def _asked_again(upright: StripeMap, peaks: Peaks, across: StripeMap, pair: _Fam
 
 def _chained(row: Integers, x_px: Floats) -> Integers:
     """Give (peak,) the number of the run, from row to row, that each peak belongs to; one peak a row."""
-    run, ends = np.arange(row.size), {}
+    run: Integers = np.arange(row.size)
+    ends: dict[int, list[int]] = {}
     for peak in range(row.size):
         near = [
             (abs(x_px[end] - x_px[peak]), end)

@@ -58,7 +58,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
         name="grid-lines",
         target="roemetry_peaks.grid_lines:GridLines",
         summary="Lines of a grid in both directions, each with the other family's light taken away",
-        reference="Bigün, Granlund (1987), Optimal orientation detection of linear symmetry; Guo (2011); ours",
+        reference="Bigün, Granlund (1987), Optimal orientation detection of linear symmetry; ours",
     )
     yield StageEntry(
         kind="smoother",

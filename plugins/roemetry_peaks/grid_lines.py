@@ -146,7 +146,9 @@ def _hidden(row: Integers, numbers: Floats, ahead: Integers) -> tuple[Integers, 
     if not steep.size:
         return np.empty(0, np.int64), np.empty((0, 3))
     best = steep.argmin(axis=1)
-    own = (steep[np.arange(end.size), best] < _SLOPE_OFF) & (steep.argmin(axis=0)[best] == np.arange(end.size))
+    own = (steep[np.arange(end.size), best] < _SLOPE_OFF) & (
+        steep.argmin(axis=0)[best] == np.arange(end.size)
+    )
     rows, found = [np.empty(0, np.int64)], [np.empty((0, 3))]
     for one, other in zip(end[own], begin[best[own]], strict=True):
         share = np.arange(1, row[other] - row[one]) / (row[other] - row[one])
@@ -195,7 +197,11 @@ def _without(one: Gaussian, frame: Frame, light: Floats) -> Peaks:
     along, down = _gradients(left)
     clean = along[at] > _OWN_DIRECTED * down[at]
     # where both together are white, nobody knows how much of it is the other line's
-    own = clean & (peaks.amplitude > _OWN_MIN * beside) & ~maximum_filter1d(white & (light >= 1.0), _CLIPPED_PX)[at]
+    own = (
+        clean
+        & (peaks.amplitude > _OWN_MIN * beside)
+        & ~maximum_filter1d(white & (light >= 1.0), _CLIPPED_PX)[at]
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         grown = np.hypot(1.0, _REMAINS * beside / peaks.amplitude)
     kept = np.flatnonzero(own)

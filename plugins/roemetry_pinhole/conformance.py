@@ -71,9 +71,7 @@ def _near_planes(rig: LinearRig) -> Floats:
     slope = (foot[:, 0] - foot[:, 1]) / (2.0 * y_mm)
     lean = rig.px_per_mm * rig.mm_per_px - x_mm / _NEAR_MM
     # X − slope Y − lean Z = x_mm in the belt frame; the camera's is (X, −Y, 300 − Z)
-    return np.asarray(
-        np.column_stack([np.ones_like(lean), slope, lean]) / (x_mm + lean * _NEAR_MM)[:, None]
-    )
+    return np.asarray(np.column_stack([np.ones_like(lean), slope, lean]) / (x_mm + lean * _NEAR_MM)[:, None])
 
 
 def grid_of(rig: GridRig) -> Calibration:

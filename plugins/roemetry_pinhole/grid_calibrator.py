@@ -63,7 +63,7 @@ class PinholeGridCalibrator(Calibrator[PinholeGridOptions]):
         Raises
         ------
         CalibrationError
-            As `pinhole-plane` does of either family, which is named; or the families tell of different cameras.
+            As `pinhole-plane` does of either family, which is named; or they tell of different cameras.
         """
         options = self.options
         one = PinholeCalibrator(
@@ -102,9 +102,7 @@ def _turned(observed: CalibrationSet, lines: int) -> CalibrationSet:
 
 def _none(size: tuple[int, int]) -> Peaks:
     none = np.empty(0)
-    return Peaks(
-        size, np.empty(0, np.int64), none, none, none, none, none.copy(), np.empty(0, np.uint8)
-    )
+    return Peaks(size, np.empty(0, np.int64), none, none, none, none, none.copy(), np.empty(0, np.uint8))
 
 
 def _joined(upright: Calibration, across: Calibration) -> Calibration:
@@ -162,7 +160,10 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
             max(upright.height_range_mm[0], across.height_range_mm[0]),
             min(upright.height_range_mm[1], across.height_range_mm[1]),
         ),
-        notes=(*upright.notes, *(f"lines across: {note}" for note in across.notes if note not in upright.notes)),
+        notes=(
+            *upright.notes,
+            *(f"lines across: {note}" for note in across.notes if note not in upright.notes),
+        ),
         across=replace(
             across,
             parameters=seen,

@@ -11,6 +11,7 @@ frame.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -81,7 +82,7 @@ class PinholeGrid(Triangulator[StageOptions]):
         made = (len(parameters["planes_per_mm"]), rows), (len(parameters[ACROSS]), columns)
         if found != made:
             raise StageError(
-                f"lines and rows are {found[0]} and across {found[1]}, of the calibration {made[0]} and {made[1]}"
+                f"lines and rows are {found[0]}, across {found[1]}; of the calibration {made[0]}, {made[1]}"
             )
         pose = belt_pose(parameters["belt_per_mm"])
         other = turned_parameters(parameters, columns)
@@ -97,7 +98,7 @@ class PinholeGrid(Triangulator[StageOptions]):
         ]  # fmt: skip
         longest = max(rows, columns)
 
-        def joined(one: Floats, two: Floats, nothing: float) -> Floats:
+        def joined(one: Any, two: Any, nothing: float) -> Any:
             padded = [
                 np.pad(part, [(0, 0), (0, longest - part.shape[1])] + [(0, 0)] * (part.ndim - 2),
                        constant_values=nothing)

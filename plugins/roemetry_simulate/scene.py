@@ -75,7 +75,8 @@ class AcrossPart(Part):
     @property
     def feet_mm(self) -> Floats:
         """(line,) places along the planes' run on the belt, mm."""
-        return self.centre_y_mm + self.spacing_mm * (np.arange(self.lines) - 0.5 * (self.lines - 1))
+        order = np.arange(self.lines) - 0.5 * (self.lines - 1)
+        return np.asarray(self.centre_y_mm + self.spacing_mm * order, np.float64)
 
 
 class RayCasterLaser(LaserPart):
@@ -217,9 +218,7 @@ def laser_of(part: LaserPart, grey_per_e_per_ms: float) -> LaserFan:
         peak_grey=part.peak_e_per_ms * grey_per_e_per_ms * power,
         line_sigma_deg=part.fall_deg,
     )
-    fan = replace(
-        fan, waist_distance_mm=part.waist_distance_mm, divergence_mrad=0.5 * part.divergence_mrad
-    )
+    fan = replace(fan, waist_distance_mm=part.waist_distance_mm, divergence_mrad=0.5 * part.divergence_mrad)
     if not isinstance(part, RayCasterLaser):
         return fan
     if part.grid is not None:

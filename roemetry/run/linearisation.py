@@ -229,7 +229,7 @@ def _moves(scene: Scene, chain: Chain) -> tuple[Floats, Floats, Floats]:
 
 
 class _Nodes(NamedTuple):
-    """Nodes of one family of stripes in blocks of rows, along x from the belt's place to the greatest height's.
+    """Nodes of one family of stripes in blocks of rows, along x from the belt to the greatest height.
 
     A map has one place in a row, so that the nodes of a block stand in rows next to each other.
     """
@@ -261,7 +261,9 @@ def _lattice_of(calibration: Calibration, triangulator: Any) -> _Lattice:
         nodes.append(_nodes_of(calibration.across))
         places = replace(places, across=nodes[1].places)
         rows = max(nodes[0].places.rows, nodes[1].places.rows)
-        lit = np.concatenate([np.pad(one.places.seen, [(0, 0), (0, rows - one.places.rows)]) for one in nodes])
+        lit = np.concatenate(
+            [np.pad(one.places.seen, [(0, 0), (0, rows - one.places.rows)]) for one in nodes]
+        )
     return _Lattice(*_moved(places, lit, calibration, triangulator), tuple(nodes))
 
 

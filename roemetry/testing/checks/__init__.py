@@ -28,7 +28,7 @@ _CALLED = {"estimator": "volume"}
 _CONNECTED = ("feed", "outlet")
 """Kinds that talk to the world: no call of theirs is like another."""
 _LONG = ("calibrator", "grid")
-"""It calibrates each family as lines are, by a stage that is held to every check: a dozen calls take minutes."""
+"""It calibrates each family as lines, by a stage that is held to every check: a dozen calls take minutes."""
 
 
 def _kind_of(check: Check) -> str:

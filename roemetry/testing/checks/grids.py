@@ -21,7 +21,7 @@ _FOUND_MIN = 0.99
 
 
 def check_lines_of_a_grid_are_right(extractor: Extractor[Any]) -> None:
-    """On a noise-free image lines of both families are found, within `tolerance_px`, also where they cross."""
+    """Lines of both families are found in a noise-free image, within `tolerance_px`, also at crossings."""
     rig = GridRig()
     heights = rig.hill()
     peaks = extractor.extract(frame_of(rig.grid_light(heights)))
@@ -35,7 +35,7 @@ def check_lines_of_a_grid_are_right(extractor: Extractor[Any]) -> None:
 
 
 def check_white_crossings_give_no_peak(extractor: Extractor[Any]) -> None:
-    """Where two lines together are white, no peak is given that is off by more than `saturated_tolerance_px`."""
+    """Where two lines together are white, no peak is off by more than `saturated_tolerance_px`."""
     rig = GridRig()
     heights = rig.hill(0.0)
     peaks = extractor.extract(frame_of(rig.grid_light(heights, 180.0)))
@@ -108,9 +108,7 @@ def check_both_families_lie_on_the_surface(triangulator: Triangulator[Any]) -> N
     rig = GridRig()
     heights = rig.hill()
     profiles = triangulator.triangulate(rig.grid_map(heights), calibration_for(triangulator, rig))
-    down, across = (
-        family.xyz_mm(height) for family, height in zip((rig, rig.across), heights, strict=True)
-    )
+    down, across = (family.xyz_mm(height) for family, height in zip((rig, rig.across), heights, strict=True))
     # the turned image's X is the image's −Y, and its Y the image's X
     across = np.stack([across[..., 1], -across[..., 0], across[..., 2]], axis=2)
     limit = triangulator.capabilities.height_tolerance_mm
@@ -127,26 +125,29 @@ def check_other_grids_are_refused(triangulator: Triangulator[Any]) -> None:
     rig = GridRig()
     calibration, seen = calibration_for(triangulator, rig), rig.grid_map(rig.hill())
     few = GridRig(lines=3)
-    for what, other in (("one family", replace(seen, across=None)), ("three lines", few.grid_map(few.hill()))):
+    for what, other in (
+        ("one family", replace(seen, across=None)),
+        ("three lines", few.grid_map(few.hill())),
+    ):
         with refused(what, StageError):
             triangulator.triangulate(other, calibration)
 
 
 def check_both_families_come_back(calibrator: Calibrator[Any]) -> None:
-    """Rest lines of both families come back within `tolerance_px`; what is not there is refused; the file is whole."""
+    """Rest lines of both families come back within `tolerance_px`; one family, and no image, are refused."""
     rig = GridRig()
     observed = calibration_set_for(calibrator, rig)
     calibration = calibrator.calibrate(observed)
     require(calibration.across is not None, "there are no lines across")
     assert calibration.across is not None
     for family, found in ((rig, calibration), (rig.across, calibration.across)):
-        off = float(np.abs(found.rest_line_px(np.arange(family.rows)) - family.rest_px()).max())
+        off = float(
+            np.abs(found.rest_line_px(np.arange(family.rows, dtype=np.float64)) - family.rest_px()).max()
+        )
         limit = calibrator.capabilities.tolerance_px
         require(off <= limit, f"rest lines are off by up to {off:.3g} px, {limit:g} px are declared")
     require_it_survives_its_file(calibration)
-    one_family = tuple(
-        replace(one, peaks=replace(one.peaks, across=None)) for one in observed.observations
-    )
+    one_family = tuple(replace(one, peaks=replace(one.peaks, across=None)) for one in observed.observations)
     for what, other in (
         ("peaks of one family", replace(observed, observations=one_family)),
         ("a set without observations", replace(observed, observations=())),
