@@ -17,6 +17,7 @@ from roemetry.records.calibration import Calibration
 from roemetry.testing.grids import GridRig
 from roemetry.testing.scenes import frame_of
 from roemetry_coding.grid import GridPlanes, _asked_again, _Families
+from roemetry_patterns.dot_surface import _pooled
 from roemetry_peaks.grid_lines import GridLines
 from roemetry_pinhole.grid_calibrator import _turning
 from roemetry_pinhole.grid_planes import ACROSS, turned_parameters
@@ -126,3 +127,14 @@ def test_simulators_without_grids_refuse_them(simulator: str) -> None:
 def test_stages_for_lines_are_refused_under_a_grid() -> None:
     with pytest.raises(ConfigurationError, match="`planes` is made for lines"):
         Recipe.load(GRID, sets=["stages.coder={use: planes}"])
+
+
+def test_points_of_a_line_are_pooled_and_dots_are_not(rng: np.random.Generator) -> None:
+    row = np.arange(600)
+    line = np.column_stack([np.zeros(600), 0.3 * row, 20.0 + 0.05 * rng.standard_normal(600)])
+    place = np.column_stack([np.zeros(600, np.int64), row])
+    mean, std = _pooled(line, np.full(600, 0.05), place)
+    assert len(mean) == 200 and np.allclose(std, 0.05 / np.sqrt(3.0))
+    assert np.allclose(mean[:, 2], line[:, 2].reshape(200, 3).mean(axis=1))
+    apart, _ = _pooled(line, np.full(600, 0.05), place * np.array([1, 16]))
+    assert len(apart) == 600
