@@ -112,6 +112,7 @@ def test_the_recipe_finds_the_volume() -> None:
         cv2.imread(str(GRID / folder / "potato_02.png"), cv2.IMREAD_UNCHANGED)
         for folder in ("images", "images_plain")
     )
+    assert laser is not None
     (product,) = Recipe.load(GRID, sets=["uncertainty=none"]).measure(laser, plain=plain)
     assert product.volume is not None
     # the truth of the item, to 0.5 %
