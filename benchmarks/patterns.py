@@ -38,7 +38,7 @@ def main() -> None:
     """Measure, print, and write the page's tables if wanted."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=32000, help="first seed of products")
-    parser.add_argument("--count", type=int, default=3, help="products of each family")
+    parser.add_argument("--count", type=int, default=2, help="products of each family")
     parser.add_argument(
         "--images", type=Path, default=Path("build/patterns"), help="folder of rendered images"
     )
