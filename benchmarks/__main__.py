@@ -24,6 +24,7 @@ BENCHMARKS = {
     "startup": "time of `roemetry --help` over that of a two-command Typer program",
     "golden": "what every shipped recipe says, against the committed records; --write keeps it",
     "outside": "rigs of another renderer, from files to grades, against their truth",
+    "patterns": "grids on rendered images, and lines, a grid and dots at equal light, against their truth",
     "dots": "dots on drawn and rendered images: centres, labels, heights, volumes, against their truth",
     "kills": "two runs in one folder, killed over and over: rows lost or doubled",
     "known_numbers": "what the shipped recipe gives on three skeins, written for `roemetry doctor`",

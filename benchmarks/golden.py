@@ -38,6 +38,7 @@ RECIPES = (
     "herring_roe/with_outline",
     "potato/recipe",
     "potato_dots/recipe",
+    "potato_grid/recipe",
     "weld_groove/recipe",
 )
 IMAGES = 4

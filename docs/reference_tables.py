@@ -25,7 +25,7 @@ from roemetry.config.recipe_file import NEEDS, RecipeFile, SensorFile, SourceCho
 from roemetry.stages import INTERFACES
 from roemetry.stages.hookspecs import KINDS
 from roemetry.stages.registry import Registry, discover
-from roemetry.testing.checks import ANY, OF_DOTS, OF_KIND, Check, name_of, sentence_of
+from roemetry.testing.checks import ANY, OF_KIND, OF_PATTERN, Check, name_of, sentence_of
 
 _BLOCK = re.compile(r"(<!-- from the code: (.+?) -->\n)(.*?)(<!-- to here -->)", flags=re.DOTALL)
 # what a help text says of a default that is no plain value; `--help` shows it at the end
@@ -231,7 +231,9 @@ def markdown() -> str:
     """Write a heading and a table for the checks of every stage, and of each kind."""
     parts = [_checks("Every stage", ANY)]
     parts += [_checks(kind.capitalize(), checks) for kind, checks in OF_KIND.items()]
-    parts += [_checks(f"{kind.capitalize()} of dots", checks) for kind, checks in OF_DOTS.items()]
+    for pattern, light in (("dots", "dots"), ("grid", "a grid")):
+        of_kind = OF_PATTERN[pattern].items()
+        parts += [_checks(f"{kind.capitalize()} of {light}", checks) for kind, checks in of_kind]
     return "\n".join(parts)
 
 

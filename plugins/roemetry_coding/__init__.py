@@ -45,3 +45,10 @@ def roemetry_stages() -> Iterable[StageEntry]:
         summary="Without a calibration: joins broken stripes and counts them where order and direction agree",
         reference="our own",
     )
+    yield StageEntry(
+        kind="coder",
+        name="grid-planes",
+        target="roemetry_coding.grid:GridPlanes",
+        summary="Both families of a grid by their planes, confirmed or refused by heights where they cross",
+        reference="Salvi, Pagès, Batlle (2004), Pattern Recognition 37:827; ours",
+    )

@@ -23,11 +23,15 @@ import numpy as np
 
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Reason, Shares, Surface, Volume
-from roemetry.records.arrays import Floats
+from roemetry.records.arrays import Floats, Integers
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
 
 _POINTS_MAX = 250
 """Points that count: the time grows with their cube, and more change no volume by 0.1 %."""
+_POOLED_ROWS_MAX = 12
+"""Rows of a line of which the mean point counts: on a radius of 100 px it lies 0.06 px under the surface."""
+_LEAST_STD_MM = 1e-3
+"""Of a point, beside its neighbours."""
 _POINTS_MIN = 8
 """Six numbers of the quadratic are fitted."""
 _RIM_POINTS = 60
@@ -206,11 +210,12 @@ def _scene_of(product: Product) -> _Scene:
     xyz, std = profiles.xyz_mm[on], profiles.height_std_mm[on]
     if len(xyz) < _POINTS_MIN:
         raise StageError(f"{len(xyz)} points lie on the product, {_POINTS_MIN} are the least")
+    many = len(xyz)
+    xyz, std = _pooled(xyz, np.nan_to_num(std, nan=_FLAT_STD_MM), np.argwhere(on))
     # the order of slices shall not matter, nor which of many points are left out
     order = np.lexsort(xyz.T)
     order = order[np.unique(np.linspace(0, len(xyz) - 1, min(len(xyz), _POINTS_MAX)).astype(np.int64))]
-    many, xyz, std = len(xyz), xyz[order], np.nan_to_num(std[order], nan=_FLAT_STD_MM)
-    std = np.hypot(std, _FLAT_STD_MM)
+    xyz, std = xyz[order], np.hypot(std[order], _FLAT_STD_MM)
     outline, view = product.outline, product.view
     if outline is None or view is None:
         hull = _hull(xyz[:, :2], many)
@@ -227,6 +232,21 @@ def _scene_of(product: Product) -> _Scene:
     larger = view.at_height(contour + _outwards(contour), 0.0)[:, :2] - view.at_height(contour, 0.0)[:, :2]
     std_px = outline.xy_std_px if math.isfinite(outline.xy_std_px) else _OUTLINE_STD_PX
     return _Scene(xyz, std, start, way, True, std_px, larger)
+
+
+def _pooled(xyz_mm: Floats, std_mm: Floats, place: Integers) -> tuple[Floats, Floats]:
+    """Give means of points that follow each other on a line, where there are more points than can count.
+
+    `place` (n, 2) says which slice and which of its points each is. Dots stand too far apart to be pooled.
+    """
+    rows = min(math.ceil(len(xyz_mm) / _POINTS_MAX), _POOLED_ROWS_MAX)
+    if rows == 1:
+        return xyz_mm, std_mm
+    group = np.unique(place // np.array([1, rows]), axis=0, return_inverse=True)[1].ravel()
+    weight = 1.0 / np.maximum(std_mm, _LEAST_STD_MM) ** 2
+    total = np.bincount(group, weight)
+    mean = [np.bincount(group, weight * one) / total for one in xyz_mm.T]
+    return np.column_stack(mean), 1.0 / np.sqrt(total)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -283,12 +303,20 @@ class _Prior:
 
     def covariance(self, one: Floats, other: Floats) -> Floats:
         """Give (n, m) between places."""
-        a, b = self._powers(one), self._powers(other)
-        apart = np.sqrt(np.maximum(((one[:, None] - other[None]) ** 2).sum(axis=2), 0.0)) * (
-            math.sqrt(5.0) / self.reach_mm
-        )
-        matern = (1.0 + apart + apart**2 / 3.0) * np.exp(-apart)
-        return np.asarray(self.trend_std**2 * (a @ b.T) + self.std**2 * matern)
+        from scipy.spatial.distance import cdist
+
+        trend = (self.trend_std * self._powers(one)) @ (self.trend_std * self._powers(other)).T
+        if self.std == 0.0:
+            return np.asarray(trend)
+        apart = cdist(one, other) * (math.sqrt(5.0) / self.reach_mm)
+        # in place: half of a surface's time went into arrays of this size
+        matern = np.exp(-apart)
+        matern *= self.std**2
+        apart *= 1.0 + apart / 3.0
+        apart += 1.0
+        matern *= apart
+        matern += trend
+        return matern
 
     def _powers(self, xy: Floats) -> Floats:
         x, y = ((xy - self.middle) / self.half_mm).T

@@ -54,6 +54,13 @@ def roemetry_stages() -> Iterable[StageEntry]:
         reference="Steger (1998), An unbiased detector of curvilinear structures, IEEE PAMI 20:113–125",
     )
     yield StageEntry(
+        kind="extractor",
+        name="grid-lines",
+        target="roemetry_peaks.grid_lines:GridLines",
+        summary="Lines of a grid in both directions, each with the other family's light taken away",
+        reference="Bigün, Granlund (1987), Optimal orientation detection of linear symmetry; ours",
+    )
+    yield StageEntry(
         kind="smoother",
         name="local-polynomial",
         target="roemetry_peaks.local_polynomial:LocalPolynomial",

@@ -38,3 +38,17 @@ def roemetry_stages() -> Iterable[StageEntry]:
         summary="Each dot's place on its ray, by the covariances of both",
         reference="Hartley and Zisserman (2004), chapter 12, with one ray known",
     )
+    yield StageEntry(
+        kind="calibrator",
+        name="pinhole-grid",
+        target="roemetry_pinhole.grid_calibrator:PinholeGridCalibrator",
+        summary="Camera, lens, the planes of both families of a grid, and belt from a board in many poses",
+        reference="As pinhole-plane; families joined by conditional expectation, Rao (1973), 8a.2",
+    )
+    yield StageEntry(
+        kind="triangulator",
+        name="pinhole-grid",
+        target="roemetry_pinhole.grid_planes:PinholeGrid",
+        summary="Each peak's straightened ray meets its line's plane of light, of either family",
+        reference="Hartley and Zisserman (2004), chapters 6 and 7",
+    )

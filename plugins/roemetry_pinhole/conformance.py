@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from roemetry_pinhole.pinhole_plane import METHOD, displacements, rest_polynomia
 if TYPE_CHECKING:
     from roemetry.testing import LinearRig
     from roemetry.testing.dots import DotRig
+    from roemetry.testing.grids import GridRig
 
 
 _FAR_MM = 1e7  # a camera ten kilometres up sees in parallel
@@ -46,14 +48,8 @@ def observed_of(rig: LinearRig) -> CalibrationSet:
 
 @lru_cache(maxsize=4)
 def _observed(rig: LinearRig) -> CalibrationSet:
-    rest = rig.rest_px()
-    foot = (rest[:, [0, -1]] - rig.middle_column) * rig.mm_per_px
-    x_mm, y_mm = foot.mean(axis=1), rig.middle_row * rig.mm_per_px
-    slope = (foot[:, 0] - foot[:, 1]) / (2.0 * y_mm)
-    lean = rig.px_per_mm * rig.mm_per_px - x_mm / _NEAR_MM
-    # X − slope Y − lean Z = x_mm in the belt frame; the camera's is (X, −Y, 300 − Z)
-    planes = np.column_stack([np.ones_like(lean), slope, lean]) / (x_mm + lean * _NEAR_MM)[:, None]
-    belt = Observation("belt", _dark(rig, "belt"), rig.peaks(rest).peaks)
+    planes = _near_planes(rig)
+    belt = Observation("belt", _dark(rig, "belt"), rig.peaks(rig.rest_px()).peaks)
     observations = [belt]
     for number in range(_POSES):
         rotation, shift = _pose(number)
@@ -65,6 +61,47 @@ def _observed(rig: LinearRig) -> CalibrationSet:
         peaks = _peaks(rig, _crossings(rig, planes, rotation, shift))
         observations.append(Observation("board", lit, peaks, name))
     return CalibrationSet(tuple(observations), rig.stripes, None, _NEAR_MM, {"use": "exact"}, board=_BOARD)
+
+
+def _near_planes(rig: LinearRig) -> Floats:
+    """(stripe, 3) p·X = 1 in the frame of a camera 300 mm above the belt."""
+    rest = rig.rest_px()
+    foot = (rest[:, [0, -1]] - rig.middle_column) * rig.mm_per_px
+    x_mm, y_mm = foot.mean(axis=1), rig.middle_row * rig.mm_per_px
+    slope = (foot[:, 0] - foot[:, 1]) / (2.0 * y_mm)
+    lean = rig.px_per_mm * rig.mm_per_px - x_mm / _NEAR_MM
+    # X − slope Y − lean Z = x_mm in the belt frame; the camera's is (X, −Y, 300 − Z)
+    return np.asarray(np.column_stack([np.ones_like(lean), slope, lean]) / (x_mm + lean * _NEAR_MM)[:, None])
+
+
+def grid_of(rig: GridRig) -> Calibration:
+    """Give the calibration of a rig with a grid, by the camera so far away."""
+    from roemetry_pinhole.grid_planes import ACROSS, TURN
+    from roemetry_pinhole.grid_planes import METHOD as GRID
+
+    upright, across = calibration_of(rig), calibration_of(rig.across)
+    parameters = {**upright.parameters, ACROSS: across.parameters["planes_per_mm"] @ TURN}
+    count = sum(one.size for one in parameters.values())
+    return replace(
+        upright, method=GRID, parameters=parameters, covariance=np.zeros((count, count)), across=across
+    )
+
+
+@lru_cache(maxsize=4)
+def grid_observed_of(rig: GridRig) -> CalibrationSet:
+    """Give the chessboard in many poses under a grid whose lines scatter a little, and the belt."""
+    from roemetry_pinhole.grid_planes import TURN
+
+    planes, observed = _near_planes(rig.across), observed_of(rig)
+    observations = []
+    for one in observed.observations:
+        across = rig.across.peaks(rig.across.rest_px()).peaks
+        if one.shows == "board":
+            rotation, shift = _pose(int(one.pose.removeprefix("pose ")))
+            lit = _crossings(rig.across, planes, TURN @ rotation, TURN @ shift)
+            across = _peaks(rig.across, lit if one.frame.role == "laser" else np.empty((0, 2)))
+        observations.append(replace(one, peaks=replace(one.peaks, across=across)))
+    return replace(observed, observations=tuple(observations))
 
 
 def _calibration(rig: LinearRig, away_mm: float, planes: Floats) -> Calibration:

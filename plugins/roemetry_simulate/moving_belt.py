@@ -71,8 +71,9 @@ class MovingBeltOptions(RayCasterOptions):
     @field_validator("laser")
     @classmethod
     def _is_a_line(cls, laser: RayCasterLaser) -> RayCasterLaser:
-        if laser.dots is not None:
-            raise MisfitError((("dots",), "a belt scan is made of lines"))
+        for name in ("dots", "grid"):
+            if getattr(laser, name) is not None:
+                raise MisfitError(((name,), "a belt scan is made of lines"))
         return laser
 
 

@@ -14,7 +14,7 @@ an evenly lit disc. Left out: planes that are bent, vignetting, aberrations.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -193,6 +193,9 @@ class LaserFan:
     rows : ndarray, shape (M, 5)
         Planes n·X = d across the others, (n, d, 1), ordered along belt Y. Where there are any, light is a dot
         where two planes meet, the product of both profiles; (0, 5): the light is lines.
+    across : LaserFan or None
+        The second family of a grid, whose light adds to this one's; ordered against belt Y, as the image
+        turned by 90° counter-clockwise shows it from left to right.
     """
 
     projector_mm: Floats
@@ -205,6 +208,7 @@ class LaserFan:
     waist_distance_mm: float = 0.0
     divergence_mrad: float = 0.0
     rows: Floats = field(default_factory=lambda: np.empty((0, 5)))
+    across: LaserFan | None = None
 
     def __post_init__(self) -> None:
         if self.sigma_mm <= 0.0 or self.line_sigma_deg <= 0.0:
@@ -293,6 +297,39 @@ def rows_through(fan: LaserFan, feet_mm: ArrayLike) -> Floats:
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     normals *= np.sign(normals @ along)[:, None]
     return np.column_stack([normals, normals @ fan.projector_mm, np.ones(len(normals))])
+
+
+def with_across(fan: LaserFan, feet_mm: ArrayLike) -> LaserFan:
+    """Return the grid of a fan and of lines across it, which meet its lines' run at these places."""
+    # normals point the way in which the planes are ordered, as those of the fan itself do
+    planes = -rows_through(fan, np.sort(np.atleast_1d(feet_mm))[::-1])
+    axis = np.array([fan.line_axis[1], -fan.line_axis[0], 0.0])
+    return replace(
+        fan,
+        across=replace(
+            fan,
+            normals=planes[:, :3],
+            offsets_mm=planes[:, 3],
+            line_axis=axis / np.linalg.norm(axis),
+            peak_grey=np.full(len(planes), float(np.mean(fan.peak_grey))),
+        ),
+    )
+
+
+def turned(camera: Camera) -> Camera:
+    """Return the camera whose image is this one's turned by 90° counter-clockwise."""
+    (cx, cy), (k1, k2, p1, p2, k3) = camera.principal_px.tolist(), camera.distortion
+    pose = camera.T_belt_camera.copy()
+    pose[:3, :3] = np.column_stack([pose[:3, 1], -pose[:3, 0], pose[:3, 2]])
+    return Camera(
+        camera.height_px,
+        camera.width_px,
+        camera.pixel_size_mm,
+        camera.focal_length_mm,
+        pose,
+        (cy, camera.width_px - 1.0 - cx),
+        (k1, k2, -p2, p1, k3),
+    )
 
 
 def view_mm(camera: Camera, height_mm: float = 0.0) -> tuple[float, float, float, float]:

@@ -81,9 +81,10 @@ class RigPlanner(Planner[RayCasterOptions]):
 
     def plan(self, *, simulate: bool) -> Plan:
         """Plan the rig; raise StageError where heights do not show in its image."""
-        if self.options.laser.dots is not None:
+        if self.options.laser.dots is not None or self.options.laser.grid is not None:
             raise StageError(
-                "dots cannot be planned", hint="plan the same rig with lines: leave laser.dots out"
+                "dots and grids cannot be planned",
+                hint="plan the same rig with lines: leave laser.dots or laser.grid out",
             )
         space = space_of(self.options)
         _refuse(space)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from roemetry.records import Frame, ProductTruth, Role, Simulated, StripeTruth, Truth
 from roemetry.records import Sensor as Noise
 from roemetry.stages import Simulator, Turn
+from roemetry_simulate.optics import turned
 from roemetry_simulate.population import Group, draw_item
 from roemetry_simulate.products import Drawn
 from roemetry_simulate.render import Rig, as_stored, render
@@ -52,6 +53,9 @@ class RayCaster(Simulator[RayCasterOptions]):
         else:
             crossings = stripe_centres(camera, laser, solid, **pitch)
         stripes = stripes_of(crossings, solid)
+        if laser.across is not None:
+            across = stripe_centres(turned(camera), laser.across, solid, **pitch)
+            stripes = replace(stripes, across=stripes_of(across, solid))
         frames = []
         for role in self.options.light.images:
             rig = self._rig if role != "dark" else replace(self._rig, laser=dimmed(self._rig))
@@ -111,7 +115,7 @@ def stripes_of(crossings: Crossings, solid: Solid | None = None) -> StripeTruth:
 
 def dimmed(rig: Rig) -> Any:
     """Return the rig's laser, switched off."""
-    return replace(rig.laser, peak_grey=np.zeros_like(rig.laser.peak_grey))
+    return replace(rig.laser, peak_grey=np.zeros_like(rig.laser.peak_grey), across=None)
 
 
 def _only(crossings: Crossings, on_it: NDArray[np.bool_]) -> Crossings:

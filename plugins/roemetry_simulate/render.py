@@ -104,6 +104,16 @@ def laser_light(
     rig: Rig, solid: Solid, surface: Surface, samples: int = 4, *, draft: bool = False
 ) -> tuple[Floats, Floats]:
     """Light of the laser and of all else, grey levels over black, without noise, blur or clipping."""
+    laser, steady = _fan_light(rig, solid, surface, samples, draft=draft)
+    if rig.laser.across is not None:
+        laser += _fan_light(replace(rig, laser=rig.laser.across), solid, surface, samples, draft=draft)[0]
+    return laser, steady
+
+
+def _fan_light(
+    rig: Rig, solid: Solid, surface: Surface, samples: int, *, draft: bool
+) -> tuple[Floats, Floats]:
+    """Light of one family of planes and of all else."""
     image = np.zeros((rig.camera.height_px, rig.camera.width_px, 3))
     if draft:
         _light(rig, solid, surface, 1, image)

@@ -39,6 +39,7 @@ from roemetry_simulate.optics import (
     looking_down,
     rows_through,
     view_mm,
+    with_across,
 )
 from roemetry_simulate.products import MODELS, Drawn
 from roemetry_simulate.render import Rig, Sensor
@@ -62,22 +63,37 @@ class RayCasterProduct(ProductPart):
         return self
 
 
-class DotsPart(Part):
-    """A matrix of dots: lines across the planes of light, which leave of these only where they meet."""
+class AcrossPart(Part):
+    """Lines across the planes of light."""
 
-    lines: int = Field(default=15, ge=2, le=200, description="dots in each plane")
+    lines: int = Field(default=15, ge=1, le=200, description="how many")
     spacing_mm: float = Field(default=5.0, gt=0, le=1000, description="between them on the belt, mm")
     centre_y_mm: float = Field(
         default=0.0, ge=-1e5, le=1e5, description="Y of the middle one on the belt, mm"
     )
 
+    @property
+    def feet_mm(self) -> Floats:
+        """(line,) places along the planes' run on the belt, mm."""
+        order = np.arange(self.lines) - 0.5 * (self.lines - 1)
+        return np.asarray(self.centre_y_mm + self.spacing_mm * order, np.float64)
+
 
 class RayCasterLaser(LaserPart):
-    """The projector: lines, or dots on them."""
+    """The projector: lines, dots on them, or a grid."""
 
-    dots: DotsPart | None = Field(
-        default=None, description="breaks every line into dots; default: whole lines"
+    dots: AcrossPart | None = Field(
+        default=None, description="light only where both kinds of line meet: dots; default: whole lines"
     )
+    grid: AcrossPart | None = Field(
+        default=None, description="light of both kinds of line: a grid, or of one and one a cross hair"
+    )
+
+    @model_validator(mode="after")
+    def _is_one_pattern(self) -> RayCasterLaser:
+        if self.dots is not None and self.grid is not None:
+            raise MisfitError((("grid",), "dots or a grid: leave one of both out"))
+        return self
 
 
 class RayCasterOptions(StageOptions):
@@ -202,14 +218,12 @@ def laser_of(part: LaserPart, grey_per_e_per_ms: float) -> LaserFan:
         peak_grey=part.peak_e_per_ms * grey_per_e_per_ms * power,
         line_sigma_deg=part.fall_deg,
     )
-    rows = np.empty((0, 5))
-    if isinstance(part, RayCasterLaser) and part.dots is not None:
-        dots = part.dots
-        order = np.arange(dots.lines) - 0.5 * (dots.lines - 1)
-        rows = rows_through(fan, dots.centre_y_mm + dots.spacing_mm * order)
-    return replace(
-        fan, waist_distance_mm=part.waist_distance_mm, divergence_mrad=0.5 * part.divergence_mrad, rows=rows
-    )
+    fan = replace(fan, waist_distance_mm=part.waist_distance_mm, divergence_mrad=0.5 * part.divergence_mrad)
+    if not isinstance(part, RayCasterLaser):
+        return fan
+    if part.grid is not None:
+        return with_across(fan, part.grid.feet_mm)
+    return fan if part.dots is None else replace(fan, rows=rows_through(fan, part.dots.feet_mm))
 
 
 def check_camera(part: CameraPart) -> None:

@@ -68,6 +68,9 @@ class Calibration(Shown):
     """How the belt runs, where a scan of a known body has told; None where none was taken."""
     rays: Rays | None = None
     """Rays of a matrix of dots, whose columns the stripes then are; None where the light is in planes."""
+    across: Calibration | None = None
+    """Of a grid: that of the lines across, in the image turned by 90° counter-clockwise, as coders need it.
+    It follows from `parameters`, and stays as it is where they move."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -180,6 +183,7 @@ class Calibration(Shown):
             **({} if self.reference == ON_BELT else {"reference": self.reference}),
             **({} if self.motion is None else {"motion": self.motion.to_dict()}),
             **({} if self.rays is None else {"rays": self.rays.to_dict()}),
+            **({} if self.across is None else {"across": self.across.to_dict()}),
         }
 
     def save(self, path: Path | str) -> None:
@@ -205,27 +209,7 @@ class Calibration(Shown):
                 hint="calibrate again with `roemetry calibrate`",
             )
         try:
-            size = int(data["image_size"]["rows"]), int(data["image_size"]["columns"])
-            calibration = cls(
-                method=str(data["method"]),
-                image_size=size,
-                turn_deg=int(data["turn_deg"]),
-                rest_px=np.array(data["rest_px"], np.float64),
-                displacement_px_per_mm=np.array(data["displacement_px_per_mm"], np.float64),
-                height_range_mm=(float(data["height_range_mm"][0]), float(data["height_range_mm"][1])),
-                parameters={n: np.array(v, np.float64) for n, v in data["parameters"].items()},
-                covariance=np.array(data["covariance"], np.float64),
-                residuals={n: float(v) for n, v in data["residuals"].items()},
-                target=data["target"],
-                extractor=data["extractor"],
-                image_sha256=data["image_sha256"],
-                made=str(data["made"]),
-                notes=tuple(data["notes"]),
-                view=None if data.get("view") is None else View.from_dict(data["view"], size),
-                reference=str(data.get("reference", ON_BELT)),
-                motion=None if data.get("motion") is None else Motion.from_dict(data["motion"]),
-                rays=None if data.get("rays") is None else Rays.from_dict(data["rays"]),
-            )
+            calibration = cls._from_dict(data)
             json.dumps([data[name] for name in _TOLD], sort_keys=True)  # words as keys
             for name in (*data["parameters"], *data["residuals"]):
                 if not isinstance(name, str):
@@ -251,6 +235,32 @@ class Calibration(Shown):
                 hint="restore the file or make it again with `roemetry calibrate`",
             )
         return calibration
+
+    @classmethod
+    def _from_dict(cls, data: Mapping[str, Any]) -> Calibration:
+        """Read what `to_dict` wrote; KeyError, TypeError, ValueError or RecordError where it is damaged."""
+        size = int(data["image_size"]["rows"]), int(data["image_size"]["columns"])
+        return cls(
+            method=str(data["method"]),
+            image_size=size,
+            turn_deg=int(data["turn_deg"]),
+            rest_px=np.array(data["rest_px"], np.float64),
+            displacement_px_per_mm=np.array(data["displacement_px_per_mm"], np.float64),
+            height_range_mm=(float(data["height_range_mm"][0]), float(data["height_range_mm"][1])),
+            parameters={n: np.array(v, np.float64) for n, v in data["parameters"].items()},
+            covariance=np.array(data["covariance"], np.float64),
+            residuals={n: float(v) for n, v in data["residuals"].items()},
+            target=data["target"],
+            extractor=data["extractor"],
+            image_sha256=data["image_sha256"],
+            made=str(data["made"]),
+            notes=tuple(data["notes"]),
+            view=None if data.get("view") is None else View.from_dict(data["view"], size),
+            reference=str(data.get("reference", ON_BELT)),
+            motion=None if data.get("motion") is None else Motion.from_dict(data["motion"]),
+            rays=None if data.get("rays") is None else Rays.from_dict(data["rays"]),
+            across=None if data.get("across") is None else cls._from_dict(data["across"]),
+        )
 
     def _no_covariance(self) -> str:
         """Name the parameter that shows that the covariance is none; "" where it is one."""

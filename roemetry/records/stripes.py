@@ -43,6 +43,9 @@ class Peaks(Shown):
     """What a reader of the numbers must know about the extraction."""
     dots: Dots | None = None
     """(peak,) of dots, each in the row its centre lies in; None: peaks of lines, in the middle of a row."""
+    across: Peaks | None = None
+    """Of a grid: peaks of the lines across, in the image turned by 90° counter-clockwise, where they cross
+    rows as other lines do; None: there is one family of lines."""
     row_start: Integers = field(init=False)
     """(row + 1,) where each row's peaks begin: those of row r are ``row_start[r]:row_start[r + 1]``."""
 
@@ -57,6 +60,8 @@ class Peaks(Shown):
         check.require(self.correlation_rows >= 0, "correlation_rows is negative")
         check.require(self.dots is None or self.dots.y_px.shape == (n,), "dots and x_px differ in number")
         rows, columns = self.image_size
+        turned = self.across is None or self.across.image_size == (columns, rows)
+        check.require(turned, "peaks across are not those of the turned image")
         if row.ndim == 1 and x_px.shape == row.shape and n:
             check.require(bool(row[0] >= 0 and row[-1] < rows), f"row is outside 0…{rows - 1}")
             before, after = row[:-1], row[1:]
@@ -113,6 +118,8 @@ class StripeMap(Shown):
     dots: Dots | None = None
     """(stripe, row) of dots, each in the row its centre lies in; None: the stripes are lines. `x_std_px` is
     then the error of x alone that moves the point as much as the whole error of the dot does."""
+    across: StripeMap | None = None
+    """Of a grid: the lines across, in the image turned by 90° counter-clockwise; None: there are none."""
 
     def __post_init__(self) -> None:
         check = Checker(self)

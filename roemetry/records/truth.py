@@ -29,6 +29,8 @@ class StripeTruth:
     y_px: Floats = field(default_factory=lambda: np.empty((0, 0)))
     """(stripe, row) of dots, each in the row its centre lies in: where down the rows that is, px. Empty: the
     stripes are lines, which cross the middle of each row."""
+    across: StripeTruth | None = None
+    """Of a grid: the lines of its second family, in the image turned by 90° counter-clockwise."""
 
     def __post_init__(self) -> None:
         check = Checker(self)

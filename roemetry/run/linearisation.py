@@ -49,6 +49,7 @@ from roemetry.run.monte_carlo import (
     lift_share,
     probability_of,
     rerun,
+    shifted,
     what_is_unstated,
 )
 from roemetry.run.scan import Placing
@@ -175,7 +176,7 @@ def _parts(scene: Scene, chain: Chain, drawn: Sampler) -> Iterator[Part]:
                 PEAKS,
                 1.0,
                 lambda sign, noise=noise: drawn.products(  # type: ignore[misc]
-                    replace(stripes, x_px=stripes.x_px + sign * noise), calibration, outlines, offset_mm
+                    shifted(stripes, noise, sign), calibration, outlines, offset_mm
                 ),
             )
 
@@ -208,41 +209,70 @@ def _moves(scene: Scene, chain: Chain) -> tuple[Floats, Floats, Floats]:
     their own.
     """
     stripes, calibration, triangulator = scene.stripes, scene.calibration, chain.triangulator
-    mine = stripes.product > 0
     if isinstance(triangulator, Placing) or stripes.dots is not None:
         if stripes.dots is None:
             stripes = _every(stripes, _ROWS_APART)
         steps, moves = _moved(stripes, stripes.product > 0, calibration, triangulator)
         return steps, moves.astype(np.float64), np.full(moves.shape[1], 1.0 / max(moves.shape[1], 1))
     lattice = _lattice_of(calibration, triangulator)
-    stripe, row = np.nonzero(mine)
-    along = np.rint((stripes.x_px[mine] - lattice.first_px[stripe, row]) / lattice.step_px)
-    node = (stripe * _BLOCKS + row * _BLOCKS // stripes.rows) * _PLACES
-    many = np.bincount(node + np.clip(along, 0, _PLACES - 1).astype(np.int64))
+    families = (stripes,) if stripes.across is None else (stripes, stripes.across)
+    many, first = np.zeros(lattice.moves_mm.shape[1], np.int64), 0
+    for family, nodes in zip(families, lattice.nodes, strict=True):
+        mine = family.product > 0
+        stripe, row = np.nonzero(mine)
+        along = np.rint((family.x_px[mine] - nodes.first_px[stripe, row]) / nodes.step_px)
+        node = first + (stripe * _BLOCKS + row * _BLOCKS // family.rows) * _PLACES
+        many += np.bincount(node + np.clip(along, 0, _PLACES - 1).astype(np.int64), minlength=many.size)
+        first += family.stripe_count * _BLOCKS * _PLACES
     held = np.flatnonzero(many)
     return lattice.steps, lattice.moves_mm[:, held].astype(np.float64), many[held] / max(many.sum(), 1)
 
 
-class _Lattice(NamedTuple):
-    """Nodes in blocks of rows, and along x from the belt's place to that of the greatest height."""
+class _Nodes(NamedTuple):
+    """Nodes of one family of stripes in blocks of rows, along x from the belt to the greatest height.
 
-    steps: Floats
-    """(step, parameter) independent steps of the calibration."""
-    moves_mm: NDArray[np.float32]
-    """(step, node, 3) by how much each moves a node: stripe by stripe, down the rows, along x."""
+    A map has one place in a row, so that the nodes of a block stand in rows next to each other.
+    """
+
+    places: StripeMap
+    """The nodes as stripes."""
     first_px: Floats
     """(stripe, row) the first node along x."""
     step_px: float
 
 
+class _Lattice(NamedTuple):
+    """Nodes of both families, and how they move."""
+
+    steps: Floats
+    """(step, parameter) independent steps of the calibration."""
+    moves_mm: NDArray[np.float32]
+    """(step, node, 3) by how much each moves a node: stripe by stripe, down the rows, along x."""
+    nodes: tuple[_Nodes, ...]
+    """Of the stripes and, in a grid, of the lines across."""
+
+
 @lru_cache(maxsize=2)
 def _lattice_of(calibration: Calibration, triangulator: Any) -> _Lattice:
+    nodes = [_nodes_of(calibration)]
+    places = nodes[0].places
+    lit = places.seen
+    if calibration.across is not None:
+        nodes.append(_nodes_of(calibration.across))
+        places = replace(places, across=nodes[1].places)
+        rows = max(nodes[0].places.rows, nodes[1].places.rows)
+        lit = np.concatenate(
+            [np.pad(one.places.seen, [(0, 0), (0, rows - one.places.rows)]) for one in nodes]
+        )
+    return _Lattice(*_moved(places, lit, calibration, triangulator), tuple(nodes))
+
+
+def _nodes_of(calibration: Calibration) -> _Nodes:
     rows = calibration.image_size[0]
     ends_px = np.outer(calibration.height_range_mm, calibration.displacement_px_per_mm)
     step_px = max(float(np.ptp(ends_px)) / (_PLACES - 1), 1e-3)
     rest_px = calibration.rest_line_px(np.arange(rows, dtype=np.float64))
     first_px = rest_px + ends_px.min()
-    # a map has one place in a row, so that the nodes of a block stand in rows next to each other
     middle = (np.arange(_BLOCKS) + 0.5) * rows / _BLOCKS
     row = np.clip(middle[:, None].astype(np.int64) + np.arange(_PLACES) - _PLACES // 2, 0, rows - 1).ravel()
     x_px = np.full_like(first_px, np.nan)
@@ -251,7 +281,7 @@ def _lattice_of(calibration: Calibration, triangulator: Any) -> _Lattice:
     product = np.where(lit, 1, NOTHING).astype(np.int16)
     interpolated, missing = np.zeros_like(lit), np.empty(0, np.int16)
     places = StripeMap(x_px, unknown, product, lit, unknown, interpolated, rest_px, missing)
-    return _Lattice(*_moved(places, lit, calibration, triangulator), first_px, step_px)
+    return _Nodes(places, first_px, step_px)
 
 
 def _every(stripes: StripeMap, rows: int) -> StripeMap:

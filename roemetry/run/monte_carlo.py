@@ -384,15 +384,16 @@ class Sampler:
         self._scene, self._chain, self._rng = scene, chain, rng
         self._calibrations = scene.calibration.redraws(rng, chain.triangulator.view)
         stripes = scene.stripes
-        lit = stripes.product > 0
-        self._std_px = np.where(stripes.seen, stripes.x_std_px, 0.0)
-        self.peaks_stated = bool(np.isfinite(self._std_px[stripes.seen & lit]).all())
-        self._std_px = np.nan_to_num(self._std_px)
+        families = (stripes,) if stripes.across is None else (stripes, stripes.across)
+        self.peaks_stated = all(
+            bool(np.isfinite(one.x_std_px[one.seen & (one.product > 0)]).all()) for one in families
+        )
+        self._std_px = [np.nan_to_num(np.where(one.seen, one.x_std_px, 0.0)) for one in families]
         contours = any(math.isfinite(outline.xy_std_px) for outline in scene.outlines)
         known = {PEAKS: self.peaks_stated, CALIBRATION: True, OUTLINE: contours}
         known[PENETRATION] = scene.penetration is not None
         self.causes = tuple(cause for cause, stated in known.items() if stated)
-        self._bridges = _bridges(stripes)
+        self._bridges = [_bridges(one) for one in families]
         self._as_found: Mapping[int, Product] | None = None
 
     def scenes(self, count: int, causes: tuple[str, ...]) -> Iterator[Mapping[int, Product]]:
@@ -401,7 +402,7 @@ class Sampler:
             scene = self._scene
             stripes, calibration, outlines = scene.stripes, scene.calibration, scene.outlines
             if PEAKS in causes:
-                stripes = replace(stripes, x_px=stripes.x_px + self.noise_px())
+                stripes = shifted(stripes, self.noise_px())
             if CALIBRATION in causes:
                 calibration = next(self._calibrations)
             if OUTLINE in causes:
@@ -451,18 +452,32 @@ class Sampler:
         found = split_products(profiles, outlines, calibration, self._scene.acquisition_id, view=view)
         return {product.number: product for product in found}
 
-    def noise_px(self) -> Floats:
-        """(stripe, row) errors, px: correlated along the stripe; bridged points move with their ends."""
-        noise = self.unit_noise(self._std_px.shape) * self._std_px
-        stripe, gap, before, after, share = self._bridges
-        noise[stripe, gap] = (1.0 - share) * noise[stripe, before] + share * noise[stripe, after]
-        return noise
+    def noise_px(self) -> tuple[Floats, ...]:
+        """(stripe, row) errors, px: correlated along the stripe; bridged points move with their ends.
+
+        Of a grid there are those of the lines across, too.
+        """
+        found = []
+        for std_px, bridges in zip(self._std_px, self._bridges, strict=True):
+            noise = self.unit_noise(std_px.shape) * std_px
+            stripe, gap, before, after, share = bridges
+            noise[stripe, gap] = (1.0 - share) * noise[stripe, before] + share * noise[stripe, after]
+            found.append(noise)
+        return tuple(found)
 
     def unit_noise(self, shape: tuple[int, ...]) -> Floats:
         """(stripe, row) errors of standard deviation 1, correlated along the stripe."""
         noise = self._rng.standard_normal(shape)
         reach = self._scene.stripes.correlation_rows
         return _smoothed(noise, reach) if reach > 0 else noise
+
+
+def shifted(stripes: StripeMap, noise_px: tuple[Floats, ...], sign: float = 1.0) -> StripeMap:
+    """Give the stripes, and the lines across, moved by `Sampler.noise_px`."""
+    across = stripes.across
+    if across is not None:
+        across = replace(across, x_px=across.x_px + sign * noise_px[1])
+    return replace(stripes, x_px=stripes.x_px + sign * noise_px[0], across=across)
 
 
 def _bridges(stripes: StripeMap) -> tuple[Integers, Integers, Integers, Integers, Floats]:

@@ -53,6 +53,8 @@ _REST_SPACINGS = 0.1
 _DEPTH_SPACINGS = 0.5
 """So deep inside an outline no belt is seen: nearer to its rim a refused peak on a rest line may be belt, for
 outlines err and stripes are broad. Counted from the rim, they widen good skeins' intervals by a third."""
+_ACROSS_SPACINGS = 0.5
+"""In a grid, a refused peak leaves nothing open that a sure line across shows: half a mesh to either side."""
 _COVERAGE_FACTOR = 1.959964
 """Half width of a 95 % interval in standard deviations."""
 
@@ -87,7 +89,9 @@ def open_parts(
     refused = np.flatnonzero(stripes.peak_stripe == AMBIGUOUS)
     row, x_px = peaks.row[refused], peaks.x_px[refused]
     spacing_px = _spacing_px(stripes)
-    beside_px = np.full(refused.size, np.inf)
+    shown = _shown_across(stripes, row, x_px, _ACROSS_SPACINGS * spacing_px)
+    row, x_px = row[~shown], x_px[~shown]
+    beside_px = np.full(row.size, np.inf)
     if np.isfinite(stripes.rest_px).any():
         distance = np.abs(stripes.rest_px[:, row] - x_px)
         beside_px = np.where(np.isnan(distance), np.inf, distance).min(axis=0, initial=np.inf)
@@ -109,6 +113,21 @@ def open_parts(
         else:
             found[number] = OpenPart(0, sure)
     return found
+
+
+def _shown_across(stripes: StripeMap, row: Integers, x_px: Floats, within_px: float) -> Flags:
+    """Say of peaks whether a line across shows the product's height so near to them."""
+    across = stripes.across
+    if across is None or not math.isfinite(within_px):
+        return np.zeros(row.size, np.bool_)
+    from scipy.spatial import cKDTree
+
+    line, at = np.nonzero((across.product > 0) & across.seen)
+    if not line.size:
+        return np.zeros(row.size, np.bool_)
+    # the lines across are seen in the image turned by 90° counter-clockwise
+    places = np.column_stack([across.rows - 1.0 - at, across.x_px[line, at]])
+    return np.asarray(cKDTree(places).query(np.column_stack([x_px, row]))[0] <= within_px)
 
 
 def said_of(part: OpenPart, product: Product) -> Reason | None:

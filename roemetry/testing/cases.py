@@ -33,6 +33,7 @@ from roemetry.stages import (
 )
 from roemetry.stages.kinds import check_result_type
 from roemetry.testing.dots import DotRig
+from roemetry.testing.grids import GridRig
 from roemetry.testing.runs import failed, measured, run_of, volume_of
 from roemetry.testing.scenes import SEED, LinearRig, frame_of, moved_rig
 from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_from, product_of
@@ -143,15 +144,12 @@ class Cases:
 def cases_for(stage: Stage[Any]) -> Cases:
     """Make the cases for a stage of any kind, anew at each call."""
     kind = next((kind for kind, interface in INTERFACES.items() if isinstance(stage, interface)), "")
-    if stage.capabilities.pattern == "dots" and kind in _DOTS:
-        (verb,) = INTERFACES[kind].__abstractmethods__
-        is_empty = _INPUTS[kind][1]
-        found = Cases(*(Case(inputs, _calling(verb, inputs), is_empty) for inputs in _DOTS[kind](stage)))
-    elif kind in _CALLS:
+    if kind in _CALLS:
         found = _CALLS[kind](stage)
     elif kind in _INPUTS:
         (verb,) = INTERFACES[kind].__abstractmethods__
         make, is_empty = _INPUTS[kind]
+        make = _OF_PATTERN.get(stage.capabilities.pattern, {}).get(kind, make)
         found = Cases(*(Case(inputs, _calling(verb, inputs), is_empty) for inputs in make(stage)))
     else:
         raise PluginError(f"{type(stage).__name__} is of no kind that has checks")
@@ -339,10 +337,50 @@ def _dot_observations(stage: Calibrator[Any]) -> Three:
     return (one,), (other,), (replace(one, observations=()),)
 
 
-_DOTS: dict[str, Callable[[Any], Three]] = {
-    "extractor": _dot_frames,
-    "coder": _dot_peaks,
-    "triangulator": _dot_maps,
-    "calibrator": _dot_observations,
+def _grid_frames(stage: Extractor[Any]) -> Three:
+    rig = GridRig()
+    one, other = (frame_of(rig.grid_light(rig.hill(height))) for height in (6.0, 0.0))
+    return (one,), (other,), (frame_of(np.full((rig.rows, rig.columns), rig.background)),)
+
+
+def _grid_peaks(stage: Coder[Any]) -> Three:
+    rig = GridRig()
+    nothing = tuple(np.full_like(height, np.nan) for height in rig.hill())
+    one, other, none = (
+        (rig.grid_peaks(heights), rig.grid_calibration())
+        for heights in (rig.hill(), rig.hill(3.0), (nothing[0], nothing[1]))
+    )
+    return one, other, none
+
+
+def _grid_maps(stage: Triangulator[Any]) -> Three:
+    rig = GridRig()
+    calibration = calibration_for(stage, rig)
+    nothing = tuple(np.full_like(height, np.nan) for height in rig.hill())
+    one, other, none = (
+        (rig.grid_map(heights), calibration)
+        for heights in (rig.hill(), rig.hill(3.0), (nothing[0], nothing[1]))
+    )
+    return one, other, none
+
+
+def _grid_observations(stage: Calibrator[Any]) -> Three:
+    one, other = (calibration_set_for(stage, rig) for rig in (GridRig(), GridRig(spacing_px=38.0)))
+    return (one,), (other,), (replace(one, observations=()),)
+
+
+_OF_PATTERN: dict[str, dict[str, Callable[[Any], Three]]] = {
+    "dots": {
+        "extractor": _dot_frames,
+        "coder": _dot_peaks,
+        "triangulator": _dot_maps,
+        "calibrator": _dot_observations,
+    },
+    "grid": {
+        "extractor": _grid_frames,
+        "coder": _grid_peaks,
+        "triangulator": _grid_maps,
+        "calibrator": _grid_observations,
+    },
 }
-"""Of stages that are made for dots, instead."""
+"""Of stages that are made for other light than lines, instead."""

@@ -13,7 +13,7 @@ from roemetry.run.stage_errors import plugin_frame
 from roemetry.stages import Stage
 from roemetry.stages.registry import Registered, Registry, discover, not_installed
 from roemetry.testing.cases import make_stage
-from roemetry.testing.checks import Check, checks_of, name_of
+from roemetry.testing.checks import OF_PATTERN, Check, checks_of, name_of
 
 if TYPE_CHECKING:
     import pytest
@@ -218,7 +218,7 @@ def parametrized(
 def _keys(registered: Registered) -> set[str]:
     """Give the names by which a failure of a check of this stage may be declared."""
     kind = registered.entry.kind
-    names = {name_of(check) for pattern in ("lines", "dots") for check in checks_of(kind, pattern)}
+    names = {name_of(check) for pattern in ("lines", *OF_PATTERN) for check in checks_of(kind, pattern)}
     return names | {f"{registered.entry.name}/{name}" for name in names}
 
 

@@ -13,6 +13,7 @@ from roemetry.testing.checks import (
     dots,
     extractor,
     files,
+    grids,
     live,
     points,
     stripes,
@@ -26,6 +27,8 @@ _MODULES = (extractor, stripes, points, volume, weigher, classes, files, live)
 _CALLED = {"estimator": "volume"}
 _CONNECTED = ("feed", "outlet")
 """Kinds that talk to the world: no call of theirs is like another."""
+_LONG = ("calibrator", "grid")
+"""It calibrates each family as lines, by a stage that is held to every check: a dozen calls take minutes."""
 
 
 def _kind_of(check: Check) -> str:
@@ -41,13 +44,18 @@ ANY: tuple[Check, ...] = any_stage.CHECKS
 OF_KIND: Mapping[str, tuple[Check, ...]] = {
     kind: found for kind in KINDS if (found := tuple(check for check in _CHECKS if _kind_of(check) == kind))
 }
-OF_DOTS: Mapping[str, tuple[Check, ...]] = {
-    kind: tuple(
-        check for name, check in vars(dots).items() if name.startswith("check_") and _kind_of(check) == kind
-    )
-    for kind in ("extractor", "coder", "calibrator", "triangulator")
+OF_PATTERN: Mapping[str, Mapping[str, tuple[Check, ...]]] = {
+    pattern: {
+        kind: tuple(
+            check
+            for name, check in vars(module).items()
+            if name.startswith("check_") and _kind_of(check) == kind
+        )
+        for kind in ("extractor", "coder", "calibrator", "triangulator")
+    }
+    for pattern, module in (("dots", dots), ("grid", grids))
 }
-"""Of stages that are made for dots, instead."""
+"""Of stages that are made for other light than lines, instead."""
 
 
 def checks_of(kind: str, pattern: str = "lines") -> tuple[Check, ...]:
@@ -55,11 +63,12 @@ def checks_of(kind: str, pattern: str = "lines") -> tuple[Check, ...]:
 
     Stages that see the light are held to the checks of the pattern that they are made for.
 
-    Of a kind that the kit has no scenes for, or that holds a connection, only those of options are taken of
-    every stage's.
+    Of a kind that the kit has no scenes for, that holds a connection, or whose calls take long, only those of
+    options are taken of every stage's.
     """
-    every = ANY if kind in OF_KIND and kind not in _CONNECTED else any_stage.OF_OPTIONS
-    return every + (OF_DOTS if pattern == "dots" else OF_KIND).get(kind, ())
+    whole = kind in OF_KIND and kind not in _CONNECTED and (kind, pattern) != _LONG
+    every = ANY if whole else any_stage.OF_OPTIONS
+    return every + OF_PATTERN.get(pattern, OF_KIND).get(kind, ())
 
 
 def name_of(check: Check) -> str:

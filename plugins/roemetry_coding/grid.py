@@ -1,0 +1,302 @@
+"""Lines of a grid: each family by the planes of light, both by what they say where they cross.
+
+Model. Each family is coded by `planes`: the lines across in the image turned by 90°. Where a line of one
+family crosses a line of the other, one place is seen on two planes of light, and its line of sight meets
+both at the same height if both labels are right. If one is a stripe off, the heights differ by what a label
+is worth: how far the height moves from a plane to the next one. So a crossing agrees where heights differ by
+less than a share of that, far more than noise and far less than a label. A run of a line at more of whose
+crossings the heights differ than agree is refused, and on a product also one that no crossing confirms.
+
+Peaks that `planes` refused are asked again: a run of them that crosses labelled lines of the other family
+has their heights there. Where all its crossings name one plane, and the next best lies far off, it is that.
+
+It cannot tell what both families get wrong alike. Source: our own; the
+constraint is that of Salvi, Pagès, Batlle (2004), Pattern Recognition 37:827, for grids.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roemetry.errors import StageError
+from roemetry.records import Peaks, Reason, StripeMap
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.records.calibration import Calibration
+from roemetry.records.stripes import AMBIGUOUS, NOTHING
+from roemetry.records.view import View
+from roemetry.stages import Capabilities, Coder
+from roemetry_coding.planes import Planes, PlanesOptions
+from roemetry_kernels.consistency import required_calibration
+
+_SAME = 0.12
+"""Of what a label is worth in height: within it two heights are the same. Noise is a fiftieth of it."""
+_OTHER = 0.5
+"""Of the same: beyond it the next best plane is another."""
+_STEP_PX = 3.0
+"""From row to row, by which a line that goes on does not move."""
+_STRAY_ROWS = 3
+"""Longest piece that is taken for a shadow's edge."""
+_ON_LINE_PX = 1.0
+"""Down the rows, between a peak and the line of the other family that it lies on."""
+_CROSSINGS_MIN = 2
+"""At which a run that was refused must name the same plane."""
+_CONTRADICTED_MAX = 0.25
+"""Share of crossings that may disagree: beyond it neither family can be trusted."""
+
+
+class GridPlanes(Coder[PlanesOptions]):
+    """Codes each family by its planes, and asks them where they cross."""
+
+    Options = PlanesOptions
+    capabilities = Capabilities(pattern="grid")
+
+    def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
+        """Code the peaks of one frame; the lines across are in `StripeMap.across`.
+
+        Raises
+        ------
+        StageError
+            No calibration of a grid or no peaks of one; what `planes` refuses of either family, which is
+            named; nothing crosses; or the families contradict each other.
+        """
+        calibration = required_calibration(calibration, "grid-planes", "without planes a peak has no height")
+        if peaks.across is None or calibration.across is None:
+            what = "peaks are" if peaks.across is None else "calibration is"
+            raise StageError(
+                f"the {what} of one family of lines, not of a grid",
+                hint="set `extractor: grid-lines` and calibrate with pinhole-grid",
+            )
+        planes = Planes(self.options)
+        upright = planes.code(peaks, calibration)
+        try:
+            across = planes.code(peaks.across, calibration.across)
+        except StageError as error:
+            raise StageError(f"lines across: {error.message}", hint=error.hint) from error
+        upright, across = _without_strays(upright), _without_strays(across)
+        pair = _Families(calibration, calibration.across)
+        met = _crossings(upright, across, pair)
+        if not met.agree.size:
+            raise StageError("no line crosses one of the other family", hint="is this an image of a grid?")
+        if met.agree.mean() < 1.0 - _CONTRADICTED_MAX:
+            raise StageError(
+                f"where lines cross, both families agree on the height at {met.agree.sum()} of "
+                f"{met.agree.size} places only: image and calibration do not belong together",
+                hint="look at the image; was it turned, another pattern used, or the camera moved?",
+            )
+        upright, gone = _kept(upright, peaks, met.stripe, met.row, met.agree)
+        across, gone_across = _kept(across, peaks.across, met.line, met.column, met.agree)
+        across = _numbered(across, upright, met)
+        upright = _asked_again(upright, peaks, across, pair)
+        if gone + gone_across:
+            said = Reason(
+                "crossings-disagree",
+                f"{gone + gone_across} runs of lines were refused: heights do not agree where they cross the "
+                "other family, or they cross none of it",
+            )
+            upright = replace(upright, reasons=(*upright.reasons, said))
+        return replace(upright, across=across)
+
+
+class _Families:
+    """Heights by the planes of both families, of places in the image as it is."""
+
+    def __init__(self, upright: Calibration, across: Calibration) -> None:
+        assert upright.view is not None and across.view is not None
+        self._views: tuple[View, View] = (upright.view, across.view)
+        self._columns = upright.image_size[1]
+        self.worth_mm = min(_worth_mm(upright), _worth_mm(across))
+
+    def upright_mm(self, xy_px: Floats, stripe: Integers) -> Floats:
+        """Heights (n,) of places (n, 2) on planes (n,) of the lines that cross rows."""
+        return _height_mm(self._views[0], xy_px, stripe)
+
+    def across_mm(self, xy_px: Floats, line: Integers) -> Floats:
+        """The same of the lines across."""
+        turned = np.column_stack([xy_px[:, 1], self._columns - 1.0 - xy_px[:, 0]])
+        return _height_mm(self._views[1], turned, line)
+
+
+def _worth_mm(calibration: Calibration) -> float:
+    """Height from a plane to the next one, where a place in the image stays the same."""
+    if calibration.stripe_count < 2:
+        return float(np.ptp(calibration.height_range_mm))
+    apart = np.diff(calibration.rest_line_px(np.array([0.5 * (calibration.image_size[0] - 1)])), axis=0)
+    return float(np.median(np.abs(apart)) / np.median(np.abs(calibration.displacement_px_per_mm)))
+
+
+def _height_mm(view: View, xy_px: Floats, plane: Integers) -> Floats:
+    start, way = view.rays(xy_px)
+    of = view.planes[plane]
+    along = (of[:, 3] - (of[:, :3] * start).sum(axis=1)) / (of[:, :3] * way).sum(axis=1)
+    return np.asarray(start[:, 2] + along * way[:, 2])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Met:
+    """Crossings: (crossing,) stripe and row, line across and its row in the turned image, and agreement."""
+
+    stripe: Integers
+    row: Integers
+    line: Integers
+    column: Integers
+    agree: Flags
+
+
+def _crossings(upright: StripeMap, across: StripeMap, pair: _Families) -> _Met:
+    """Find where labelled lines cross, and whether their heights agree there."""
+    below, at = _beside(upright.x_px, across)
+    with np.errstate(invalid="ignore"):
+        crossed = (below[:, :, :-1] > 0.0) != (below[:, :, 1:] > 0.0)
+        crossed &= np.isfinite(below[:, :, :-1] + below[:, :, 1:])
+        crossed &= np.abs(below[:, :, 1:] - below[:, :, :-1]) < _STEP_PX
+    line, stripe, row = np.nonzero(crossed)
+    first, second = below[line, stripe, row], below[line, stripe, row + 1]
+    share = first / (first - second)
+    x_px = (1.0 - share) * upright.x_px[stripe, row] + share * upright.x_px[stripe, row + 1]
+    xy_px = np.column_stack([x_px, row + share])
+    off = pair.upright_mm(xy_px, stripe) - pair.across_mm(xy_px, line)
+    return _Met(stripe, row, line, at[stripe, row], np.abs(off) < _SAME * pair.worth_mm)
+
+
+def _beside(x_px: Floats, across: StripeMap) -> tuple[Floats, Integers]:
+    """Give (line, stripe, row) px that lines across lie below places (stripe, row), and their column.
+
+    The column counts as rows of the turned image do.
+    """
+    columns = across.rows
+    at = columns - 1 - np.rint(np.nan_to_num(x_px, nan=-1.0)).astype(np.int64)
+    inside = np.isfinite(x_px) & (at >= 0) & (at < columns)
+    at = np.clip(at, 0, columns - 1)
+    row = np.arange(x_px.shape[1])
+    return np.where(inside, across.x_px[:, at] - row, np.nan), at
+
+
+def _runs(x_px: Floats) -> Integers:
+    """Give (stripe, row) the number of the run of rows without break or step; −1 where nothing is."""
+    there = np.isfinite(x_px)
+    with np.errstate(invalid="ignore"):
+        on = np.abs(np.diff(x_px, axis=1, prepend=np.nan)) < _STEP_PX
+    number = np.cumsum(there & ~on).reshape(x_px.shape) - 1
+    return np.where(there, number, -1)
+
+
+def _without_strays(stripes: StripeMap) -> StripeMap:
+    """Leave out short pieces off the belt that a bridged gap joins to what they do not belong to.
+
+    Where the edge of a shadow cuts a line obliquely, its last rows on the belt lie beside their rest line.
+    """
+    run = _runs(np.where(stripes.seen & (stripes.product > 0), stripes.x_px, np.nan))
+    short = np.bincount(run[run >= 0], minlength=1) <= _STRAY_ROWS
+    out = (run >= 0) & short[run]
+    if not out.any():
+        return stripes
+    rows = np.arange(stripes.rows)
+    before = np.maximum.accumulate(np.where(stripes.seen, rows, 0), axis=1)
+    after = np.minimum.accumulate(np.where(stripes.seen, rows, rows[-1])[:, ::-1], axis=1)[:, ::-1]
+    ends = np.take_along_axis(out, before, axis=1) | np.take_along_axis(out, after, axis=1)
+    return _left_out(stripes, out | (~stripes.seen & ends))
+
+
+def _left_out(stripes: StripeMap, out: Flags) -> StripeMap:
+    nan = np.where(out, np.nan, 1.0)
+    return replace(
+        stripes,
+        x_px=stripes.x_px * nan,
+        x_std_px=stripes.x_std_px * nan,
+        margin=stripes.margin * nan,
+        product=np.where(out, NOTHING, stripes.product).astype(np.int16),
+        seen=stripes.seen & ~out,
+    )
+
+
+def _kept(
+    stripes: StripeMap, peaks: Peaks, stripe: Integers, row: Integers, agree: Flags
+) -> tuple[StripeMap, int]:
+    """Leave out runs that more crossings contradict than confirm, on products also those that none confirms.
+
+    Gives also how many they are.
+    """
+    out, many = np.zeros(stripes.x_px.shape, np.bool_), 0
+    for on, least in ((stripes.product > 0, 1.0), (stripes.product <= 0, 0.0)):
+        run = _runs(np.where(on, stripes.x_px, np.nan))
+        at = run[stripe, row]
+        counted = at >= 0
+        count = int(run.max(initial=-1)) + 1
+        votes = np.bincount(at[counted], np.where(agree, 1.0, -1.0)[counted], minlength=count)
+        bad = votes < least
+        out |= (run >= 0) & np.append(bad, False)[run]
+        many += int(bad.sum())
+    if not many:
+        return stripes, 0
+    label = stripes.peak_stripe.copy()
+    given = np.flatnonzero(label >= 0)
+    label[given[out[label[given], peaks.row[given]]]] = AMBIGUOUS
+    left = replace(_left_out(stripes, out), ambiguous=stripes.ambiguous | out, peak_stripe=label)
+    return left, many
+
+
+def _numbered(across: StripeMap, upright: StripeMap, met: _Met) -> StripeMap:
+    """Give products across the numbers of those they cross; what crosses none is left out."""
+    here, there = upright.product[met.stripe, met.row], across.product[met.line, met.column]
+    product = across.product.copy()
+    for number in range(1, int(across.product.max(initial=0)) + 1):
+        others = here[met.agree & (there == number) & (here > 0)]
+        product[across.product == number] = np.bincount(others).argmax() if others.size else NOTHING
+    return replace(_left_out(across, product == NOTHING), product=product)
+
+
+def _asked_again(upright: StripeMap, peaks: Peaks, across: StripeMap, pair: _Families) -> StripeMap:
+    """Label runs of refused peaks by the heights of the lines across that they lie on."""
+    open_ = np.flatnonzero(upright.peak_stripe < 0)
+    if not open_.size:
+        return upright
+    row, x_px = peaks.row[open_], peaks.x_px[open_]
+    run = _chained(row, x_px)
+    at = across.rows - 1 - np.rint(x_px).astype(np.int64)
+    line, which = np.nonzero(np.abs(across.x_px[:, at] - row) < _ON_LINE_PX)
+    xy_px = np.column_stack([x_px, row]).astype(np.float64)[which]
+    count = upright.stripe_count
+    own_mm = pair.upright_mm(np.repeat(xy_px, count, axis=0), np.tile(np.arange(count), which.size))
+    off = np.abs(own_mm.reshape(-1, count) - pair.across_mm(xy_px, line)[:, None]) / pair.worth_mm
+    best = off.argmin(axis=1) if which.size else np.empty(0, np.int64)
+    near = np.sort(off, axis=1)
+    sure = (near[:, 0] < _SAME) & (near[:, 1:2] > _OTHER).all(axis=1)
+    product = across.product[line, at[which]]
+    fields = {
+        name: getattr(upright, name).copy() for name in ("x_px", "x_std_px", "product", "seen", "margin")
+    }
+    label, ambiguous = upright.peak_stripe.copy(), upright.ambiguous.copy()
+    for number in np.unique(run[which]):
+        mine = run[which] == number
+        named = np.unique(best[mine])
+        members = np.flatnonzero(run == number)
+        free = np.isnan(fields["x_px"][named[0], row[members]]).all()
+        if np.unique(line[mine]).size < _CROSSINGS_MIN or named.size > 1 or not sure[mine].all() or not free:
+            continue
+        place = named[0], row[members]
+        fields["x_px"][place], fields["x_std_px"][place] = x_px[members], peaks.x_std_px[open_[members]]
+        fields["product"][place] = np.bincount(np.maximum(product[mine], 0)).argmax()
+        fields["seen"][place], fields["margin"][place] = True, np.nan
+        ambiguous[place] = False
+        label[open_[members]] = named[0]
+    return replace(upright, **fields, ambiguous=ambiguous, peak_stripe=label)
+
+
+def _chained(row: Integers, x_px: Floats) -> Integers:
+    """Give (peak,) the number of the run, from row to row, that each peak belongs to; one peak a row."""
+    run: Integers = np.arange(row.size)
+    ends: dict[int, list[int]] = {}
+    for peak in range(row.size):
+        near = [
+            (abs(x_px[end] - x_px[peak]), end)
+            for end in ends.get(row[peak] - 1, ())
+            if abs(x_px[end] - x_px[peak]) < _STEP_PX
+        ]
+        if near:
+            before = min(near)[1]
+            run[peak] = run[before]
+            ends[row[peak] - 1].remove(before)
+        ends.setdefault(row[peak], []).append(peak)
+    return run

@@ -1,0 +1,217 @@
+"""Lines of a grid in both directions, each as if the other family were not there.
+
+Model. The light of two families of lines adds. Each family is measured by the rows it crosses: one in the
+image, the other in the image turned by 90° counter-clockwise, both by `gaussian`. First only peaks count
+around which the image changes more along its row than down its rows, by the structure tensor; so crossings
+are left out. Peaks in neighbouring rows form lines, and where a line ends and goes on a few rows further, its
+place, height and width are interpolated. So the light of the other family is known, also at crossings, and
+taken away; what is left is measured again. Neither line is then broken or bent where they cross.
+
+Uncertainty. The light that was taken away leaves its speckle: where it was L beside a peak of height a, the
+peak's standard uncertainty grows by √(1 + (6 L / a)²). A pixel that was white stays white, for nobody knows
+how bright it was.
+
+It fails where lines of both families run alike, within some 10° of the diagonal, and where lines stand
+nearer together than three of their widths. Source: Bigün, Granlund (1987), Optimal orientation detection of
+linear symmetry; the rest is ours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from roemetry.records import Frame, Peaks
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry_peaks.gaussian import Gaussian, GaussianOptions
+from roemetry_peaks.peak_window import FWHM_OF_SIGMA
+
+_FINE_PX = 1.0
+"""Standard deviation of the Gaussian that the image is smoothed with, px: below the width of a line."""
+_AROUND_PX = 7
+"""Side of the square over which squared gradients are averaged, px: two to three widths of a line."""
+_DIRECTED = 4.0
+"""Times the squared gradient down the rows, that the one along them is in a line that crosses rows."""
+_OWN_DIRECTED = 1.5
+"""The same when the other family's light has been taken away: of lines up to 39° oblique."""
+_STEP_PX = 1.5
+"""Of a line from one row to the next: lines steeper than 56° belong to the other family."""
+_GAP_ROWS = 16
+"""Longest part of a line that is hidden by a crossing: three widths of an oblique line."""
+_SLOPE_OFF = 0.35
+"""By which a line's slope over a gap may differ from those at its ends."""
+_REACH = 3.5
+"""Standard deviations over which a line's light is taken away: 0.2 % of its height is left."""
+_OWN_MIN = 0.4
+"""Of the light that was taken away, that a peak is at least high: what is lower may be its remains."""
+_REMAINS = 6.0
+"""Times its share of a peak's height, that light taken away adds to the peak's uncertainty. Found by drawing:
+its speckle lies on the flanks of the peak, too, which the fit takes for dark and sure."""
+_CLIPPED_PX = 7
+"""Along the row, in which no pixel of a crossing may be white."""
+
+
+class GridLinesOptions(StageOptions):
+    """What counts as a line."""
+
+    threshold: Annotated[float, Field(ge=1.0, le=255.0)] | Literal["auto"] = Field(
+        default="auto",
+        description="grey levels (of 0…255, scaled for deeper images) by which a line must rise above the "
+        "light beside it; auto: from the image's own noise, and from how high its lines are",
+    )
+    width_max_px: float = Field(
+        default=16.0, gt=2.0, le=100.0, description="largest full width at half height, px"
+    )
+
+
+class GridLines(Extractor[GridLinesOptions]):
+    """Takes the light of each family away before it measures the other."""
+
+    Options: ClassVar[type[StageOptions]] = GridLinesOptions
+    capabilities = Capabilities(tolerance_px=0.1, saturated_tolerance_px=0.3, pattern="grid")
+
+    def extract(self, frame: Frame) -> Peaks:
+        """Find the lines of a frame; those across in `Peaks.across`."""
+        given = self.options
+        one = Gaussian(GaussianOptions(threshold=given.threshold, width_max_px=given.width_max_px))
+        frames = (frame, turned(frame))
+        along, down = _gradients(frame.pixels)
+        directed = along > _DIRECTED * down, np.rot90(down > _DIRECTED * along)
+        light = [_light_of(one.extract(each), kept) for each, kept in zip(frames, directed, strict=True)]
+        upright = _without(one, frame, np.rot90(light[1], -1))
+        return replace(upright, across=_without(one, frames[1], np.rot90(light[0])))
+
+
+def turned(frame: Frame) -> Frame:
+    """Give the frame turned by 90° counter-clockwise."""
+    return replace(frame, pixels=np.ascontiguousarray(np.rot90(frame.pixels)))
+
+
+def _light_of(peaks: Peaks, directed: Flags) -> Floats:
+    """Give the light of the lines that cross rows, as an image, grey levels over what is beside them.
+
+    `directed` says of each pixel whether the image changes along its row rather than down the rows.
+    """
+    kept = directed[peaks.row, np.rint(peaks.x_px).astype(np.int64)]
+    row, numbers = (
+        peaks.row[kept],
+        np.column_stack([peaks.x_px, peaks.amplitude, peaks.width_px / FWHM_OF_SIGMA])[kept],
+    )
+    ahead = _neighbour(row, numbers[:, 0])
+    hidden_row, hidden = _hidden(row, numbers, ahead)
+    row, numbers = np.concatenate([row, hidden_row]), np.concatenate([numbers, hidden])
+    return _painted(row, numbers, directed.shape)
+
+
+def _gradients(pixels: Any) -> tuple[Any, Any]:
+    """Give the squared change of the image along its rows and down its rows, averaged around each pixel."""
+    import cv2
+
+    image = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), _FINE_PX)
+    changes = (cv2.Sobel(image, cv2.CV_32F, *way, ksize=3) for way in ((1, 0), (0, 1)))
+    along, down = (cv2.boxFilter(one * one, -1, (_AROUND_PX, _AROUND_PX)) for one in changes)
+    return along, down
+
+
+def _neighbour(row: Integers, x_px: Floats) -> Integers:
+    """Give (peak,) the nearest peak in the next row, of peaks sorted by row and x; −1 where none is near."""
+    if row.size == 0:
+        return np.empty(0, np.int64)
+    wide = float(x_px.max()) + 10.0 * _STEP_PX
+    key = row * wide + x_px
+    at = np.searchsorted(key, key + wide)
+    before, after = np.maximum(at - 1, 0), np.minimum(at, row.size - 1)
+    nearest = np.where(np.abs(key[before] - key - wide) < np.abs(key[after] - key - wide), before, after)
+    near = np.abs(key[nearest] - key - wide) <= _STEP_PX
+    return np.where(near, nearest, -1)
+
+
+def _hidden(row: Integers, numbers: Floats, ahead: Integers) -> tuple[Integers, Floats]:
+    """Give rows and numbers, x, height and size, of what lies between ends of lines and where they go on."""
+    behind = np.full(row.size, -1)
+    behind[ahead[ahead >= 0]] = np.flatnonzero(ahead >= 0)
+    end, begin = np.flatnonzero((ahead < 0) & (behind >= 0)), np.flatnonzero((behind < 0) & (ahead >= 0))
+    far = row[begin][None, :] - row[end][:, None]
+    way = numbers[begin, 0][None, :] - numbers[end, 0][:, None]
+    slope = way / np.maximum(far, 1)
+    steep = np.maximum(
+        np.abs(slope - _slope(numbers[:, 0], behind, end)[:, None]),
+        np.abs(slope - _slope(numbers[:, 0], ahead, begin)[None, :]),
+    )
+    steep = np.where((far > 1) & (far <= _GAP_ROWS), steep, np.inf)
+    if not steep.size:
+        return np.empty(0, np.int64), np.empty((0, 3))
+    best = steep.argmin(axis=1)
+    own = (steep[np.arange(end.size), best] < _SLOPE_OFF) & (
+        steep.argmin(axis=0)[best] == np.arange(end.size)
+    )
+    rows, found = [np.empty(0, np.int64)], [np.empty((0, 3))]
+    for one, other in zip(end[own], begin[best[own]], strict=True):
+        share = np.arange(1, row[other] - row[one]) / (row[other] - row[one])
+        rows.append(np.arange(row[one] + 1, row[other]))
+        found.append(numbers[one] + share[:, None] * (numbers[other] - numbers[one]))
+    return np.concatenate(rows), np.concatenate(found)
+
+
+def _slope(x_px: Floats, way: Integers, at: Integers) -> Floats:
+    """Give px a row, over as many as eight rows, of lines that lead from peaks away by `way`."""
+    last, steps = at.copy(), np.zeros(at.size)
+    for _ in range(8):
+        on = way[last] >= 0
+        last, steps = np.where(on, way[last], last), steps + on
+    moved = x_px[last] - x_px[at]
+    return np.asarray(moved / np.maximum(steps, 1.0) * np.where(last < at, -1.0, 1.0))
+
+
+def _painted(row: Integers, numbers: Floats, size: tuple[int, int]) -> Floats:
+    """Draw a Gaussian along its row for each of (n, 3) x, height and standard deviation."""
+    light = np.zeros(size)
+    if not row.size:
+        return light
+    x, height, sigma = numbers.T
+    half = int(np.ceil(_REACH * min(float(sigma.max()), 0.1 * size[1])))
+    column = np.rint(x).astype(np.int64)[:, None] + np.arange(-half, half + 1)
+    value = height[:, None] * np.exp(-0.5 * ((column - x[:, None]) / sigma[:, None]) ** 2)
+    inside = (column >= 0) & (column < size[1])
+    # two lines of one family that come near each other share their light: the brighter one is drawn
+    np.maximum.at(light, (np.broadcast_to(row[:, None], column.shape)[inside], column[inside]), value[inside])
+    return light
+
+
+def _without(one: Gaussian, frame: Frame, light: Floats) -> Peaks:
+    """Measure the lines that are left when the other family's light is taken away."""
+    from scipy.ndimage import maximum_filter1d
+
+    pixels = frame.pixels
+    left = np.clip(np.rint(pixels - light), 0, frame.white).astype(pixels.dtype)
+    white = pixels >= frame.white
+    left[white] = frame.white
+    peaks = one.extract(replace(frame, pixels=left))
+    at = peaks.row, np.rint(peaks.x_px).astype(np.int64)
+    beside = light[at]
+    # what the other family has left shows where one of its lines ends, or was not followed
+    along, down = _gradients(left)
+    clean = along[at] > _OWN_DIRECTED * down[at]
+    # where both together are white, nobody knows how much of it is the other line's
+    own = (
+        clean
+        & (peaks.amplitude > _OWN_MIN * beside)
+        & ~maximum_filter1d(white & (light >= 1.0), _CLIPPED_PX)[at]
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        grown = np.hypot(1.0, _REMAINS * beside / peaks.amplitude)
+    kept = np.flatnonzero(own)
+    return replace(
+        peaks,
+        row=peaks.row[kept],
+        x_px=peaks.x_px[kept],
+        x_std_px=(peaks.x_std_px * grown)[kept],
+        amplitude=peaks.amplitude[kept],
+        background=peaks.background[kept],
+        width_px=peaks.width_px[kept],
+        flags=peaks.flags[kept],
+    )

@@ -1,0 +1,141 @@
+"""Grids: crossings, labels that the other family tells, one camera of two families, a recipe, refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry import Recipe
+from roemetry.config.scene import Scene
+from roemetry.errors import ConfigurationError, StageError
+from roemetry.records import AMBIGUOUS, Sensor
+from roemetry.records.calibration import Calibration
+from roemetry.testing.grids import GridRig
+from roemetry.testing.scenes import frame_of
+from roemetry_coding.grid import GridPlanes, _asked_again, _Families
+from roemetry_patterns.dot_surface import _pooled
+from roemetry_peaks.grid_lines import GridLines
+from roemetry_pinhole.grid_calibrator import _turning
+from roemetry_pinhole.grid_planes import ACROSS, turned_parameters
+from roemetry_pinhole.pinhole_plane import points_of
+from roemetry_simulate.optics import turned
+from roemetry_simulate.scene import camera_of
+
+GRID = Path("recipes/potato_grid")
+
+
+def test_peaks_at_crossings_scatter_no_more_than_they_say(rng: np.random.Generator) -> None:
+    rig = GridRig()
+    heights = rig.hill()
+    light = rig.grid_light(heights, 100.0)
+    speckled = light * (1.0 + 0.05 * rng.standard_normal(light.shape))
+    peaks = GridLines().extract(replace(frame_of(speckled, noise=1.0), sensor=Sensor(0.02, 1.0)))
+    assert peaks.across is not None
+    crossing = np.abs(rig.across.x_px(heights[1]).mean(axis=1)[:, None] - peaks.row).min(axis=0) < 3.0
+    off = peaks.x_px - rig.x_px(heights[0])[:, peaks.row]
+    off = off[np.abs(off).argmin(axis=0), np.arange(len(peaks))]
+    assert np.abs(off).max() < 1.0  # px
+    assert np.sqrt((off[crossing] ** 2).mean()) < 0.2
+    # a peak at a crossing is said to be less sure
+    assert np.median(peaks.x_std_px[crossing]) > 1.5 * np.median(peaks.x_std_px[~crossing])
+
+
+def test_a_run_that_was_refused_is_labelled_by_the_lines_it_crosses() -> None:
+    rig = GridRig()
+    heights, calibration = rig.hill(), rig.grid_calibration()
+    peaks, true = rig.grid_peaks(heights, 0.0), rig.grid_map(heights)
+    assert calibration.across is not None and true.across is not None
+    gone = np.zeros(true.x_px.shape, np.bool_)
+    gone[3] = True
+    label = np.where(true.peak_stripe == 3, AMBIGUOUS, true.peak_stripe).astype(np.int16)
+    nan = np.where(gone, np.nan, 1.0)
+    open_ = replace(
+        true,
+        x_px=true.x_px * nan,
+        product=np.where(gone, -1, true.product).astype(np.int16),
+        seen=true.seen & ~gone,
+        ambiguous=gone,
+        peak_stripe=label,
+    )
+    again = _asked_again(open_, peaks, true.across, _Families(calibration, calibration.across))
+    assert (again.peak_stripe == true.peak_stripe).all()
+    assert np.abs(again.x_px - true.x_px).max() < 1e-9
+    assert (again.product[3] == 1).all() and not again.ambiguous.any()
+    # one crossing alone decides nothing
+    one = (np.arange(rig.lines) == 2)[:, None]
+    product = np.where(one, true.across.product, -1).astype(np.int16)
+    x_px = np.where(one, true.across.x_px, np.nan)
+    single = replace(true.across, x_px=x_px, product=product, seen=true.across.seen & one)
+    kept = _asked_again(open_, peaks, single, _Families(calibration, calibration.across))
+    assert (kept.peak_stripe == label).all()
+
+
+def test_a_grid_under_another_calibration_is_refused() -> None:
+    rig = GridRig()
+    calibration = rig.grid_calibration()
+    assert calibration.across is not None
+    across = replace(calibration.across, rest_px=calibration.across.rest_px + np.array([9.0, 0.0]))
+    with pytest.raises(StageError, match="lines across: "):
+        GridPlanes().code(rig.grid_peaks(rig.hill()), replace(calibration, across=across))
+
+
+def test_turned_parameters_say_the_same_of_the_turned_image() -> None:
+    calibration = Calibration.load(GRID / "calibration.yaml")
+    columns, lines = calibration.image_size[1], len(calibration.parameters[ACROSS])
+    parameters = {**calibration.parameters, "distortion": np.array([-0.1, 0.2, 3e-3, -2e-3, 0.1, 0, 0, 0])}
+    line, x, y = np.array([0, 4, 10]), np.array([100.0, 320.0, 500.0]), np.array([50.0, 200.0, 400.0])
+    upright = {**parameters, "planes_per_mm": parameters[ACROSS]}
+    other = turned_parameters(parameters, columns)
+    one, two = points_of(upright, line, x, y), points_of(other, line, y, columns - 1.0 - x)
+    assert np.abs(one[:, 2] - two[:, 2]).max() < 1e-9  # mm
+    back = _turning(lines, columns)
+    flat = np.concatenate([other[name].ravel() for name in upright if name in other])
+    given = np.concatenate([upright[name].ravel() for name in upright if name != ACROSS])
+    assert np.abs(back[:, :-1] @ flat + back[:, -1] - given).max() < 1e-9
+
+
+def test_the_drawn_camera_turns_with_its_image() -> None:
+    scene = Scene.load(GRID / "simulated.yaml").make()
+    camera = camera_of(scene.options.camera)
+    camera = replace(camera, distortion=(-0.1, 0.2, 3e-3, -2e-3, 0.1), principal_point_px=(300.0, 250.0))
+    points = np.array([[20.0, -10.0, 5.0], [-40.0, 30.0, 25.0]])
+    x, y = camera.project(points).T
+    assert np.abs(turned(camera).project(points) - np.column_stack([y, 639.0 - x])).max() < 1e-9
+
+
+def test_the_recipe_finds_the_volume() -> None:
+    laser, plain = (
+        cv2.imread(str(GRID / folder / "potato_02.png"), cv2.IMREAD_UNCHANGED)
+        for folder in ("images", "images_plain")
+    )
+    assert laser is not None
+    (product,) = Recipe.load(GRID, sets=["uncertainty=none"]).measure(laser, plain=plain)
+    assert product.volume is not None
+    # the truth of the item, to 0.5 %
+    assert product.volume.visible_mm3.value == pytest.approx(105597.0, rel=0.005)
+
+
+@pytest.mark.parametrize("simulator", ["moving-belt", "mitsuba"])
+def test_simulators_without_grids_refuse_them(simulator: str) -> None:
+    with pytest.raises(ConfigurationError, match="grid"):
+        Scene.load(GRID / "simulated.yaml", sets=[f"simulator.use={simulator}"]).make()
+
+
+def test_stages_for_lines_are_refused_under_a_grid() -> None:
+    with pytest.raises(ConfigurationError, match="`planes` is made for lines"):
+        Recipe.load(GRID, sets=["stages.coder={use: planes}"])
+
+
+def test_points_of_a_line_are_pooled_and_dots_are_not(rng: np.random.Generator) -> None:
+    row = np.arange(600)
+    line = np.column_stack([np.zeros(600), 0.3 * row, 20.0 + 0.05 * rng.standard_normal(600)])
+    place = np.column_stack([np.zeros(600, np.int64), row])
+    mean, std = _pooled(line, np.full(600, 0.05), place)
+    assert len(mean) == 200 and np.allclose(std, 0.05 / np.sqrt(3.0))
+    assert np.allclose(mean[:, 2], line[:, 2].reshape(200, 3).mean(axis=1))
+    apart, _ = _pooled(line, np.full(600, 0.05), place * np.array([1, 16]))
+    assert len(apart) == 600
