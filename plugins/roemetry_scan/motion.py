@@ -70,10 +70,8 @@ def measured_motion(
         found = counted(lines.count, lines.number)
     except RoemetryError as error:
         raise CalibrationError(f"the scan of the target: {error.message}", hint=error.hint) from error
-    # places are in counts of the counter's own direction, of which the motion is told
-    sign = float(np.sign(np.nansum(np.sign(np.diff(lines.count)))))
     line = np.flatnonzero(found.used)
-    way = sign * found.way[line]
+    way = found.direction * found.way[line]
     seen, index = _rig_points(stripes, line, calibration, triangulator)
     start, pose, length = _started(seen, way[index], target, right)
     surface = _surface_of(target)
@@ -86,7 +84,13 @@ def measured_motion(
             f"the scan does not fit the {target.name}: its points lie {rms:.2g} mm (rms) off its surface",
             hint="is the target the one that the rig file describes, and does the belt run the way it says?",
         )
-    inverse = np.linalg.inv(slopes.T @ slopes)
+    try:
+        inverse = np.linalg.inv(slopes.T @ slopes)
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(
+            f"the scan does not fit the {target.name}: what fits lies on too few of its faces",
+            hint="is the target the one that the rig file describes, and does the belt run the way it says?",
+        ) from error
     covariance = rms**2 * _TOGETHER * inverse[:3, :3]
     step_solve = inverse @ slopes.T
     steps, changes = [], []
@@ -207,8 +211,10 @@ def _fitted(
         kept = kept[:: max(1, kept.size // wanted)]
         residual, slopes = _linearised(unknowns, seen[kept], way[kept], surface)
         size = np.sqrt((slopes**2).sum(axis=0))
+        size = np.where(size > 0.0, size, 1.0)
         scaled = slopes / size
-        change = -np.linalg.solve(scaled.T @ scaled, scaled.T @ residual) / size
+        # what another body's points do not determine stays where it is
+        change = -np.linalg.lstsq(scaled.T @ scaled, scaled.T @ residual, rcond=1e-14)[0] / size
         unknowns = unknowns + change
         spread = 1.4826 * float(np.median(np.abs(residual)))
         limit = max(_FAR * spread, 0.8 * limit) if round_ < _ROUNDS_FIRST else _FAR * spread

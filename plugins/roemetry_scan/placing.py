@@ -66,7 +66,7 @@ class BeltMotion(Assembler[BeltOptions]):
                 f"{line.size} lines could be followed and placed, 3 are the least",
                 hint="look at the frames: is the laser on, and does the belt run?",
             )
-        shift = found.way[line, None] * motion.mm_per_count
+        shift = found.direction * found.way[line, None] * motion.mm_per_count
         at = line * per_line + first
         table = points_of_rows(calibration, triangulator)
         x_px, x_std_px = stripes.x_px[at], stripes.x_std_px[at]

@@ -104,6 +104,17 @@ def test_one_pass_of_a_frustum_tells_the_motion(mm_per_count: tuple[float, float
     assert (np.abs(found.mm_per_count - true) < 5 * std).all()
 
 
+def test_a_counter_that_counts_down_shows_no_mirror_image() -> None:
+    sim = frustum()
+    up, triangulator = true_calibration(sim), PinholePlane()
+    stripes, lines = stripes_of(sim, 1, 0.02)
+    assert up.motion is not None
+    down = replace(up, motion=replace(up.motion, mm_per_count=-up.motion.mm_per_count))
+    found = BeltMotion().place(stripes, lines, up, triangulator)
+    again = BeltMotion().place(stripes, replace(lines, count=-lines.count), down, triangulator)
+    assert np.allclose(again.xyz_mm, found.xyz_mm, equal_nan=True, atol=1e-9)
+
+
 def test_a_motion_moves_with_the_calibration_it_was_found_with() -> None:
     """A scale that is wrong makes belt's way and products larger together: no root of squares holds that."""
     sim = scene(
