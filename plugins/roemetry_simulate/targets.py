@@ -145,9 +145,9 @@ def board_solid(part: BoardPart, pose: Floats) -> PartsSolid:
     """Return the plate that carries the print on its upper face."""
     x, y, down = pose[:3, 0], pose[:3, 1], pose[:3, 2]
     edge = 0.5 * part.square_mm
-    limits = [  # the print's face first: it ends the search for what shades a point on it
-        (-down, 0.0), (-x, edge), (x, part.columns * part.square_mm + edge), (-y, edge),
-        (y, part.rows * part.square_mm + edge), (down, part.thickness_mm),
+    limits = [
+        (-x, edge), (x, part.columns * part.square_mm + edge), (-y, edge),
+        (y, part.rows * part.square_mm + edge), (-down, 0.0), (down, part.thickness_mm),
     ]  # fmt: skip
     origin = pose[:3, 3]
     surfaces = [

@@ -133,20 +133,16 @@ def placed(parts: Sequence[Sequence[Surface]], pose: Pose) -> Floats:
 @kernel
 def _span(f: Floats, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> tuple[float, float]:
     """Interval of t where a line is inside a surface; (1, -1) where it is nowhere."""
-    if f[1] == f[2] == f[3] == f[4] == f[5] == f[6] == 0.0:  # a plane, the commonest: the same without zeros
-        a, b = 0.0, f[7] * dx + f[8] * dy + f[9] * dz
-        c = ox * f[7] + oy * f[8] + oz * f[9] + f[10]
-    else:
-        a = (
-            f[1] * dx * dx + f[2] * dy * dy + f[3] * dz * dz
-            + f[4] * dx * dy + f[5] * dx * dz + f[6] * dy * dz
-        )  # fmt: skip
-        b = (
-            2.0 * (f[1] * ox * dx + f[2] * oy * dy + f[3] * oz * dz)
-            + f[4] * (ox * dy + oy * dx) + f[5] * (ox * dz + oz * dx) + f[6] * (oy * dz + oz * dy)
-            + f[7] * dx + f[8] * dy + f[9] * dz
-        )  # fmt: skip
-        c = _value(f, ox, oy, oz)
+    a = (
+        f[1] * dx * dx + f[2] * dy * dy + f[3] * dz * dz
+        + f[4] * dx * dy + f[5] * dx * dz + f[6] * dy * dz
+    )  # fmt: skip
+    b = (
+        2.0 * (f[1] * ox * dx + f[2] * oy * dy + f[3] * oz * dz)
+        + f[4] * (ox * dy + oy * dx) + f[5] * (ox * dz + oz * dx) + f[6] * (oy * dz + oz * dy)
+        + f[7] * dx + f[8] * dy + f[9] * dz
+    )  # fmt: skip
+    c = _value(f, ox, oy, oz)
     if a > _PARALLEL:
         root = b * b - 4.0 * a * c
         if root < 0.0:
@@ -213,7 +209,7 @@ def hit_parts(surfaces: Floats, bounds: Floats, o: Floats, d: Floats, t_max: flo
         part = surfaces[i, 0]
         low, high = -1e300, 1e300
         while i < surfaces.shape[0] and surfaces[i, 0] == part:
-            if low <= high and high >= 0.0:  # else the part is missed, or lies behind
+            if low <= high:
                 near, far = _span(surfaces[i], o[0], o[1], o[2], d[0], d[1], d[2])
                 low, high = max(low, near), min(high, far)
             i += 1
