@@ -115,9 +115,22 @@ def _in_turn(folder: Path, images: Path) -> Path:
     return folder
 
 
-def timed(seconds: float, rate: float, recipe: Path, plain: bool) -> None:
+def fastest(folder: Path, recipe: Path) -> Path:
+    """Write the recipe with the fastest stages (those of ``benchmarks frame --sets fastest``)."""
+    from ruamel.yaml import YAML
+
+    found = YAML().load(recipe)
+    found["stages"] |= {"extractor": "log-parabola", "coder": "ordered", "classifier": "arc-curvature"}
+    found["calibration"] = str(recipe.parent / found["calibration"])
+    found["source"]["path"] = str(recipe.parent / found["source"]["path"])
+    YAML().dump(found, folder / "fastest.yaml")
+    return folder / "fastest.yaml"
+
+
+def timed(seconds: float, rate: float, recipe: Path, plain: bool, quick: bool) -> None:
     """Run a line and print its times, losses and memory."""
     with tempfile.TemporaryDirectory() as folder:
+        recipe = fastest(Path(folder), recipe) if quick else recipe
         taken_in: list[
             tuple[str, float, float]
         ] = []  # key, when it arrived, when its frame had; s since 1970
@@ -158,6 +171,7 @@ def main() -> None:
         help="every second frame in plain light, as with_outline.yaml wants it",
     )
     parser.add_argument("--recipe", type=Path, default=ROOT / "recipes" / "herring_roe" / "recipe.yaml")
+    parser.add_argument("--fastest", action="store_true", help="the recipe with its fastest stages")
     parser.add_argument(
         "--rounds", type=int, default=0, help="rounds of faults instead, at 10 frames a second"
     )
@@ -173,7 +187,7 @@ def main() -> None:
         recipe = given.recipe.resolve()
         found = faults(given.rounds, rate, recipe, given.seed, given.folder, given.outage)
         sys.exit(1 if found else 0)
-    timed(given.seconds, given.rate, given.recipe.resolve(), given.plain)
+    timed(given.seconds, given.rate, given.recipe.resolve(), given.plain, given.fastest)
 
 
 if __name__ == "__main__":
