@@ -216,7 +216,7 @@ def off_belt_and_bridged(
             while end < count and off_belt[s, seen[end]]:
                 off = x_px[s, seen[end]] - rest_px[s, seen[end]]
                 farthest = max(farthest, np.inf if np.isnan(off) else abs(off))
-                sign += (off > 0.0) - (off < 0.0)
+                sign += 1 if off > 0.0 else -1 if off < 0.0 else 0
                 end += 1
             if end - begin < _PRODUCT_ROWS_MIN or farthest < reach_px:
                 dense = end - begin >= _THIN_SEEN_SHARE * (seen[end - 1] + 1 - seen[begin])

@@ -210,7 +210,7 @@ def _scene_of(product: Product) -> _Scene:
     xyz, std = profiles.xyz_mm[on], profiles.height_std_mm[on]
     if len(xyz) < _POINTS_MIN:
         raise StageError(f"{len(xyz)} points lie on the product, {_POINTS_MIN} are the least")
-    many = len(xyz)
+    every_xy = xyz[:, :2]
     xyz, std = _pooled(xyz, np.nan_to_num(std, nan=_FLAT_STD_MM), np.argwhere(on))
     # the order of slices shall not matter, nor which of many points are left out
     order = np.lexsort(xyz.T)
@@ -218,7 +218,7 @@ def _scene_of(product: Product) -> _Scene:
     xyz, std = xyz[order], np.hypot(std[order], _FLAT_STD_MM)
     outline, view = product.outline, product.view
     if outline is None or view is None:
-        hull = _hull(xyz[:, :2], many)
+        hull = _hull(every_xy)
         start = np.column_stack([hull, np.zeros(len(hull))])
         return _Scene(xyz, std, start, np.tile([0.0, 0.0, 1.0], (len(hull), 1)), False, math.nan, 0.0 * hull)
     rows, columns = product.calibration.image_size
@@ -386,7 +386,7 @@ def _outwards(contour: Floats) -> Floats:
     return normal * (1.0 if _area(contour) > 0.0 else -1.0)
 
 
-def _hull(xy: Floats, many: int) -> Floats:
+def _hull(xy: Floats) -> Floats:
     """Give the convex hull of points, half their spacing larger."""
     from scipy.spatial import ConvexHull, QhullError
 
@@ -396,5 +396,5 @@ def _hull(xy: Floats, many: int) -> Floats:
         raise StageError("the points lie on one line: they enclose nothing") from error
     middle = hull.mean(axis=0)
     away = np.linalg.norm(hull - middle, axis=1)
-    grown = 0.5 * math.sqrt(abs(_area(hull)) / many)
+    grown = 0.5 * math.sqrt(abs(_area(hull)) / len(xy))
     return np.asarray(middle + (hull - middle) * (1.0 + grown / away)[:, None])
