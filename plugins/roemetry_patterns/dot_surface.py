@@ -284,7 +284,8 @@ class _Kriged:
         known = solve_triangular(self.factor, across.T, lower=True)
         left = self.prior.covariance(some[:, :2], some[:, :2]) - known.T @ known
         size, turned = np.linalg.eigh(left)
-        drawn = turned * np.sqrt(np.maximum(size, 0.0))
+        # the symmetric root: eigenvectors have any sign, and equal eigenvalues any vectors
+        drawn = (turned * np.sqrt(np.maximum(size, 0.0))) @ turned.T
         noise = np.random.default_rng(0).standard_normal((drawn.shape[1], _DRAWS))
         fields = self.field(some[:, :2])[:, None] + drawn @ noise
         weight = some[:, 2] * nodes[:, 2].sum() / some[:, 2].sum()
