@@ -45,6 +45,9 @@ _SIZES = (0.3, 1.0, 3.0)
 """Of what the quadratic leaves, that the process can be."""
 _FLAT_STD_MM = 0.05
 """Beside the points' own uncertainty: skin and print."""
+_TREND = 10.0
+"""Of the process's size, that the quadratic's coefficients may be off: hardly bound, and not so free that the
+covariance cannot be inverted to many digits."""
 _DRAWS = 40
 """Fields drawn: their spread is known to 11 %."""
 _OUTLINE_STD_PX = 0.3
@@ -260,12 +263,16 @@ class _Kriged:
     place: Floats
     factor: Floats
     """Lower Cholesky factor of the covariance of what is observed."""
+    trend: Floats
+    """(6,) mean of the quadratic's coefficients, by least squares: what is left is far smaller, and so is its
+    rounding."""
     solved: Floats
     prior: _Prior
 
     def field(self, xy: Floats) -> Floats:
         """Expected u at places (n, 2)."""
-        return np.asarray(self.prior.covariance(xy, self.place) @ self.solved)
+        left = self.prior.covariance(xy, self.place) @ self.solved
+        return np.asarray(self.prior.powers(xy) @ self.trend + left)
 
     def heights_mm(self, xy: Floats) -> Floats:
         """Expected heights at places."""
@@ -306,7 +313,7 @@ class _Prior:
         """Give (n, m) between places."""
         from scipy.spatial.distance import cdist
 
-        trend = (self.trend_std * self._powers(one)) @ (self.trend_std * self._powers(other)).T
+        trend = (self.trend_std * self.powers(one)) @ (self.trend_std * self.powers(other)).T
         if self.std == 0.0:
             return np.asarray(trend)
         apart = cdist(one, other) * (math.sqrt(5.0) / self.reach_mm)
@@ -319,7 +326,8 @@ class _Prior:
         matern += trend
         return matern
 
-    def _powers(self, xy: Floats) -> Floats:
+    def powers(self, xy: Floats) -> Floats:
+        """Give (n, 6) what the quadratic's coefficients are multiplied by."""
         x, y = ((xy - self.middle) / self.half_mm).T
         return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
@@ -339,21 +347,22 @@ def _krige(scene: _Scene, rim_mm: float, reach: float = _REACHES[1], size: float
         noise = np.concatenate([noise, np.full(len(border), float(np.median(noise)))])
     middle, half = contour.mean(axis=0), 0.5 * float(np.ptp(contour, axis=0).max())
     spread = float(np.sqrt((value**2).mean()))
-    flat = _Prior(middle, half, 10.0 * spread, 0.0, half)
-    design = flat._powers(place)
-    left = value - design @ np.linalg.lstsq(design, value, rcond=None)[0]
+    flat = _Prior(middle, half, 0.0, 0.0, half)
+    design = flat.powers(place)
+    trend: Floats = np.asarray(np.linalg.lstsq(design, value, rcond=None)[0], np.float64)
+    left = value - design @ trend
     std = max(size * float(np.sqrt((left**2).mean())), 1e-3 * spread, 1e-6)
-    prior = replace(flat, std=std, reach_mm=reach * math.sqrt(abs(_area(contour))))
+    prior = replace(flat, trend_std=_TREND * std, std=std, reach_mm=reach * math.sqrt(abs(_area(contour))))
     covariance = prior.covariance(place, place) + np.diag(noise**2 + (1e-3 * std) ** 2)
     factor: Floats = np.asarray(
         np.linalg.cholesky(covariance + 1e-10 * np.diag(np.diag(covariance))), np.float64
     )
-    half_way = solve_triangular(factor, value, lower=True)
+    half_way = solve_triangular(factor, left, lower=True)
     solved = solve_triangular(factor.T, half_way, lower=False)
     # of Z, not of u, the likelihood is compared over rims
     slope = np.log(2.0 * np.hypot(over, 2.0 * scene.std_mm)).sum()
     likelihood = -0.5 * float(half_way @ half_way) - float(np.log(np.diag(factor)).sum()) + float(slope)
-    return _Kriged(rim_mm, reach, size, likelihood, place, factor, solved, prior)
+    return _Kriged(rim_mm, reach, size, likelihood, place, factor, trend, solved, prior)
 
 
 def _height(field: Floats, rim_mm: float) -> Floats:
