@@ -126,13 +126,20 @@ class _Slice:
 
 
 def height_charts(profiles: Profiles, product: int) -> tuple[SmallChart, ...]:
-    """Draw Z over Y, mm, for each slice that carries the product; all on the same scales."""
-    z = np.where(profiles.product == product, profiles.xyz_mm[..., 2], np.nan)
+    """Draw Z over Y, mm, for each slice that carries the product, over X for a line across; on one scale."""
+    xyz = np.where((profiles.product == product)[..., None], profiles.xyz_mm, np.nan)
     slices = [
-        _Slice(int(profiles.stripe[index]), profiles.xyz_mm[index, :, 1], z[index], profiles.seen[index])
+        _Slice(int(profiles.stripe[index]), _along(xyz[index]), xyz[index, :, 2], profiles.seen[index])
         for index in range(profiles.slice_count)
     ]
     return _multiples(slices, "height over the belt along the stripe, mm")
+
+
+def _along(xyz_mm: Floats) -> Floats:
+    """Give (point,) Y, or X where a slice reaches farther along it."""
+    known = xyz_mm[np.isfinite(xyz_mm).all(axis=1), :2]
+    wide, tall = np.ptp(known, axis=0) if len(known) else (0.0, 0.0)
+    return xyz_mm[:, 0 if wide > tall else 1]
 
 
 def displacement_charts(stripes: StripeMap, product: int) -> tuple[SmallChart, ...]:

@@ -236,7 +236,7 @@ def _product(row: Measurement, trace: Trace | None, key: str, section_key: str) 
             relief = relief_panels(traced.grade.relief)
         if traced is not None:
             profiles = height_charts(traced.product.profiles, row.product)
-            words = "Height Z over Y, mm, for each slice that carries the product"
+            words = "Height Z along each slice that carries the product, mm"
         elif row.product > 0:
             profiles = displacement_charts(trace.stripes, row.product)
             words = "Displacement from the rest line over the image row, px, for each stripe on the product"

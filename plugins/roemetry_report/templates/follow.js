@@ -14,21 +14,26 @@
     var solid = document.getElementById(figure.dataset.solid), data = readSolid(solid), head = data.head;
     var image = figure.querySelector("svg.screen"), chart = figure.querySelector("svg.chart"), said = figure.querySelector("output");
     var slices = data.slices, slice = 0, point = 0;
-    var y, scale, tall, up, z = [Math.min(0, head.low[2]), head.high[2]];
-    var place = function (p) { return [LEFT + (p[1] + head.origin[1] - y[0]) * scale, TOP + tall - (p[2] + head.origin[2] - z[0]) * up]; };
+    var way = 1, y, scale, tall, up, z = [Math.min(0, head.low[2]), head.high[2]];
+    var place = function (p) { return [LEFT + (p[way] + head.origin[way] - y[0]) * scale, TOP + tall - (p[2] + head.origin[2] - z[0]) * up]; };
     var spot = element("circle", { "class": "follow-spot", r: Math.max(image.viewBox.baseVal.width, image.viewBox.baseVal.height) / 90 });
     image.append(spot);
     highest();
     show();
     figure.hidden = false;
 
-    // The same scale for Y and Z where there is room, and one for all slices of a product.
-    function rescale(product) {
+    function span(one, k) {
+      var values = one.points.map(function (q) { return q.p[k] + head.origin[k]; });
+      return [Math.min.apply(null, values), Math.max.apply(null, values)];
+    }
+    // The same scale for Y and Z where there is room, and one for all slices of a product; over X for a line across.
+    function rescale(shown) {
+      var x = span(shown, 0), own = span(shown, 1);
+      way = x[1] - x[0] > own[1] - own[0] ? 0 : 1;
       y = [Infinity, -Infinity];
       slices.forEach(function (one) {
-        if (one.product === product) one.points.forEach(function (q) {
-          y = [Math.min(y[0], q.p[1] + head.origin[1]), Math.max(y[1], q.p[1] + head.origin[1])];
-        });
+        var all = span(one, way);
+        if (one.product === shown.product) y = [Math.min(y[0], all[0]), Math.max(y[1], all[1])];
       });
       scale = (WIDE - LEFT - RIGHT) / Math.max(1e-6, y[1] - y[0]);
       tall = Math.min(240, Math.max(110, (z[1] - z[0]) * scale));
@@ -43,7 +48,7 @@
 
     function show() {
       var one = slices[slice], q = one.points[point];
-      rescale(one.product);
+      rescale(one);
       spot.setAttribute("cx", q.x);
       spot.setAttribute("cy", q.row);
       chart.replaceChildren();
@@ -55,7 +60,7 @@
       y.forEach(function (v, k) {
         chart.append(element("text", { "class": k ? "end" : "start", x: k ? WIDE - RIGHT : LEFT, y: TOP + tall + 15 }, v.toFixed(0)));
       });
-      chart.append(element("text", { x: WIDE / 2, y: TOP + tall + 26 }, "Y, mm · height Z, mm"));
+      chart.append(element("text", { x: WIDE / 2, y: TOP + tall + 26 }, "XY"[way] + ", mm · height Z, mm"));
       for (var i = 1; i < one.points.length; i++) {
         var a = one.points[i - 1], b = one.points[i];
         if (!b.joined) continue;
@@ -71,7 +76,7 @@
       var here = place(q.p);
       chart.append(element("path", { "class": "follow-cross", d: "M" + here[0] + " " + TOP + "V" + (TOP + tall) + "M" + LEFT + " " + here[1] + "H" + (WIDE - RIGHT) }));
       chart.append(element("circle", { "class": "follow-spot", cx: here[0], cy: here[1], r: 5 }));
-      said.textContent = "stripe " + (one.stripe + 1) + ", row " + Math.round(q.row) + ": Y " + (q.p[1] + head.origin[1]).toFixed(1)
+      said.textContent = "stripe " + (one.stripe + 1) + ", row " + Math.round(q.row) + ": " + "XY"[way] + " " + (q.p[way] + head.origin[way]).toFixed(1)
         + " mm, height " + (q.p[2] + head.origin[2]).toFixed(2) + (isNaN(q.std) ? "" : " ± " + (q.std * head.std).toFixed(2)) + " mm, "
         + (q.seen ? "seen" : "bridged");
       solid.dispatchEvent(new CustomEvent("cursor", { detail: q.p }));
