@@ -42,6 +42,9 @@ class Registration(NamedTuple):
     rms_mm: float
     """Distance of the balls' centres as both heads have them, root of the mean square."""
     balls: int
+    first_counts: tuple[float, float] | None = None
+    """Counts at which the plate's slices begin in the upper and the lower head; None where lines were not
+    placed by counts, as in height maps."""
 
     @property
     def std_mm(self) -> float:
@@ -131,12 +134,13 @@ def closed_volume(
     """
     sides: list[Floats] = []
     pose = registration.T_top_bottom
+    moved = _begun_later(top, bottom, registration)
     for profiles, number in zip((top, bottom), numbers, strict=True):
         mine = (profiles.product == number) & profiles.seen
         if np.count_nonzero(mine) < 100:
             raise StageError("the product was seen by one head only: no closed body")
         points = np.where(mine[..., None], profiles.xyz_mm, np.nan)
-        sides.append(points if not sides else points @ pose[:3, :3].T + pose[:3, 3])
+        sides.append(points if not sides else points @ pose[:3, :3].T + pose[:3, 3] + moved)
     known = [one[np.isfinite(one[..., 0])] for one in sides]
     low, high = (np.stack([f(one[:, :2], axis=0) for one in known]) for f in (np.min, np.max))
     if (low.max(axis=0) >= high.min(axis=0)).any():
@@ -163,6 +167,44 @@ def closed_volume(
             "motion": value * max(pitch),
         },
     )
+
+
+def first_counts(top: Profiles, bottom: Profiles) -> tuple[float, float] | None:
+    """Give the counts at which both heads' slices begin, None where neither was placed by counts.
+
+    Raises
+    ------
+    StageError
+        One head's lines were placed by counts and the other's were not.
+    """
+    upper, lower = (one.scan.first_count if one.scan is not None else math.nan for one in (top, bottom))
+    if math.isnan(upper) != math.isnan(lower):
+        raise StageError(
+            f"encoder count of the first line: upper head {upper:g}, lower head {lower:g}; both have to be "
+            "known, or neither",
+            hint="give both heads the counts of one encoder",
+        )
+    return None if math.isnan(upper) else (upper, lower)
+
+
+def _begun_later(top: Profiles, bottom: Profiles, registration: Registration) -> Floats:
+    """Give (3,) mm in the upper frame that the lower slices move by, since scans began at other counts.
+
+    X counts from each scan's own first line. The registration holds for the counts that lay between both
+    heads' first lines when the plate went through; the belt has run what the product's differ from those.
+    """
+    counts, known = first_counts(top, bottom), registration.first_counts
+    if (counts is None) != (known is None):
+        raise StageError(
+            "the encoder count of the first line is known of "
+            + ("the plate's scans only" if counts is None else "the products' scans, not of the plate's")
+            + ": how far both heads' lines lie apart cannot be told",
+            hint="run register-heads anew, with plate and products placed by the same encoder",
+        )
+    if counts is None or known is None or top.scan is None:
+        return np.zeros(3)
+    apart = (counts[0] - counts[1]) - (known[0] - known[1])
+    return np.array(top.scan.mm_per_count) * apart
 
 
 def _cap(x: Floats, area: Floats) -> float:

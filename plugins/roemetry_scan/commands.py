@@ -25,20 +25,22 @@ def register_heads(
     from roemetry.errors import CalibrationError
     from roemetry.io.files import write_whole
     from roemetry.io.yaml_source import dump
-    from roemetry_scan.closed import ball_centres, registered
+    from roemetry_scan.closed import ball_centres, first_counts, registered
 
     described = read_sphere_plate(plate.name, plate.parent)
     assert described is not None
-    centres = []
+    plates = []
     for recipe in (top, bottom):
         trace = next(_traces(recipe))
         if trace.profiles is None:
             why = next((reason.text for reason in trace.absent.values()), "nothing was placed")
             raise CalibrationError(f"{recipe}: the plate was not measured: {why}")
-        centres.append(ball_centres(trace.profiles, described))
-    found = registered(*centres)
+        plates.append(trace.profiles)
+    found = registered(*(ball_centres(one, described) for one in plates))
     told = {"roemetry_registration": 1, "T_top_bottom": found.T_top_bottom.tolist()}
-    write_whole(out, dump({**told, "rms_mm": found.rms_mm, "balls": found.balls}))
+    told |= {"rms_mm": found.rms_mm, "balls": found.balls}
+    counts = first_counts(*plates)
+    write_whole(out, dump(told | ({"first_counts": list(counts)} if counts is not None else {})))
     typer.echo(f"{out}: {found.balls} balls seen by both heads, centres {found.rms_mm:.3f} mm apart (rms)")
 
 
@@ -61,7 +63,11 @@ def two_sides(
     data = read_numbers(registration)
     try:
         pose = np.array(data["T_top_bottom"], np.float64)
-        found = Registration(pose, float(data["rms_mm"]), int(data["balls"]))
+        begun = data.get("first_counts")
+        if begun is not None:
+            upper_count, lower_count = begun
+            begun = float(upper_count), float(lower_count)
+        found = Registration(pose, float(data["rms_mm"]), int(data["balls"]), begun)
         if pose.shape != (4, 4) or not np.isfinite(pose).all():
             raise ValueError("T_top_bottom is no 4 × 4 matrix of numbers")
     except (KeyError, TypeError, ValueError) as error:

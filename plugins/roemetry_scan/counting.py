@@ -31,6 +31,8 @@ class Counted:
     way: Floats
     """(line,) counts from the first line on, without overflows, in the belt's direction; NaN where
     missing."""
+    first: float
+    """Count from which `way` is told, as the counter gave it."""
     direction: float
     """1 where the counter counts up as the belt runs, −1 where down: motions are told for counts upwards."""
     place: Integers
@@ -98,7 +100,7 @@ def counted(count: Floats, number: Integers) -> Counted:
         frames = np.where((np.diff(number) < 0) & (number[1:] > 0), frames - 1.0, frames)
     dropped = int(np.maximum(frames - 1.0, 0.0).sum())
     return Counted(
-        way, direction, place, used, lost, repeated, turned, wraps,
+        way, float(unwrapped[0]), direction, place, used, lost, repeated, turned, wraps,
         _said(count.size, known.size, lost, repeated, turned, wraps, dropped, float(missed.max(initial=0))),
     )  # fmt: skip
 

@@ -86,6 +86,7 @@ class BeltMotion(Assembler[BeltOptions]):
             unreadable=int(np.count_nonzero(found.used & ~seen)),
             pitch_mm=pitch, pitch_rel_std=relative,
             quantum_mm=float(np.sqrt(motion.mm_per_count @ motion.mm_per_count)),
+            first_count=found.first, mm_per_count=_three(motion.mm_per_count),
         )  # fmt: skip
         reasons = (*found.reasons, *_unreadable(figures))
         if per_line > 1:
@@ -178,13 +179,21 @@ def _on_belt(profiles: Profiles, plane: Floats) -> Profiles:
     """Lay Z = 0 on a plane z = a + b·x + c·y of the slices."""
     turn, point = frame_on(plane)
     normal = profiles.plane[:, :3]
+    figures = profiles.scan
+    if figures is not None:
+        figures = replace(figures, mm_per_count=_three(turn @ np.array(figures.mm_per_count)))
     xyz_mm = profiles.xyz_mm @ turn.T
     xyz_mm -= turn @ point
     return replace(
         profiles,
         xyz_mm=xyz_mm,
         plane=np.column_stack([normal @ turn.T, profiles.plane[:, 3] - normal @ point]),
+        scan=figures,
     )
+
+
+def _three(vector: Floats) -> tuple[float, float, float]:
+    return float(vector[0]), float(vector[1]), float(vector[2])
 
 
 def _some(xyz_mm: Floats, chosen: Flags) -> Floats:

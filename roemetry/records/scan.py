@@ -77,10 +77,14 @@ class ScanFigures:
     """Scatter of the belt's height from line to line beyond its points' noise, mm (standard deviation)."""
     registration_mm: float = 0.0
     """Of two heads: standard uncertainty of the height of one against the other, mm."""
+    first_count: float = math.nan
+    """Encoder count at which the slices' frame lies where the rig's does, as the counter gave it."""
+    mm_per_count: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    """The belt's way for one count upwards in the slices' frame, mm."""
     slip_rel: float = math.nan
     """Relative scatter of the belt's way against the counter, by the disagreement of several lines; NaN for
     a single line, which cannot tell."""
 
-    def to_dict(self) -> dict[str, float]:
+    def to_dict(self) -> dict[str, float | tuple[float, float, float]]:
         """Plain numbers by name."""
         return {name: getattr(self, name) for name in self.__slots__}

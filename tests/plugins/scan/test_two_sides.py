@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from roemetry.errors import CalibrationError, StageError
-from roemetry.records import Profiles, SpherePlate
+from roemetry.records import Profiles, ScanFigures, SpherePlate
 from roemetry_scan.closed import Registration, ball_centres, closed_volume, registered
 from roemetry_scan.commands import register_heads, two_sides
 from roemetry_scan.formats import write
@@ -65,6 +66,36 @@ def test_a_head_that_sees_nothing_closes_no_body() -> None:
     nothing = seen(lambda x, y: 0.0 * x)
     with pytest.raises(StageError, match="one head only"):
         closed_volume(side, nothing, Registration(FLIPPED, 0.01, 9))
+
+
+def begun_at(count: float, mm_per_count: float = 0.02) -> Profiles:
+    """Give the half ellipsoid in a scan that begins at a count; its middle is at X = 0 for 100."""
+    side = seen(ellipsoid, 12.0)
+    xyz_mm = side.xyz_mm + np.array([(count - 100.0) * mm_per_count, 0.0, 0.0])
+    figures = ScanFigures(120, 120, first_count=count, mm_per_count=(mm_per_count, 0.0, 0.0))
+    return replace(side, xyz_mm=xyz_mm, scan=figures)
+
+
+@pytest.mark.parametrize(("upper", "lower"), [(100.0, 500.0), (760.0, 130.0), (4000.0, 4000.0)])
+def test_heads_that_begin_at_other_counts_are_placed_by_them(upper: float, lower: float) -> None:
+    pose = FLIPPED.copy()
+    pose[2, 3] = 20.0
+    pose[0, 3] = 0.02 * (40.0 - 70.0)  # the plate's scans began at 40 and at 70
+    told = Registration(pose, 0.005, 9, (40.0, 70.0))
+    found = closed_volume(begun_at(upper), begun_at(lower), told)
+    assert found.value == pytest.approx(TRUE, rel=0.01)
+
+
+def test_heads_of_which_a_first_count_is_not_known_are_refused() -> None:
+    pose = FLIPPED.copy()
+    pose[2, 3] = 20.0
+    counted, side = begun_at(100.0), seen(ellipsoid, 12.0)
+    with pytest.raises(StageError, match="not of the plate"):
+        closed_volume(counted, counted, Registration(pose, 0.005, 9))
+    with pytest.raises(StageError, match="the plate's scans only"):
+        closed_volume(side, side, Registration(pose, 0.005, 9, (0.0, 0.0)))
+    with pytest.raises(StageError, match="both have to be known"):
+        closed_volume(counted, side, Registration(pose, 0.005, 9, (0.0, 0.0)))
 
 
 PLATE = SpherePlate("plate", 3, 2, 18.0, 10.0, 5.0, 0.005)
