@@ -47,12 +47,18 @@ class Chart:
     values: NDArray[np.float64]
 
     @property
+    def words(self) -> str:
+        """Give the figure's name and unit, as in "mass, g"."""
+        name, _, unit = self.figure.rpartition("_")
+        return f"{name}, {unit.replace('mm3', 'mm³')}"
+
+    @property
     def said(self) -> str:
         """Say in a line what it shows."""
         if math.isnan(self.std_within):
-            return f"{self.figure}: {self.count} products, too few for a control chart ({FEWEST} or more)"
+            return f"{self.words}: {self.count} products, too few for a control chart ({FEWEST} or more)"
         return (
-            f"{self.figure}: {self.count} products, mean {self.mean:.6g}, from product to product "
+            f"{self.words}: {self.count} products, mean {self.mean:.6g}, from product to product "
             f"± {self.std_within:.3g}; out of control: {len(self.hours_out)} of {len(self.hours)} hours, the "
             f"moving mean (EWMA) at {len(self.ewma_out)} products"
         )

@@ -110,13 +110,19 @@ def _rendered(run: Run, seen: Overview, sections: list[dict[str, Any]]) -> str:
     environment.filters["breakable"] = breakable
     environment.filters["clause"] = clause
     environment.filters["marked"] = marked
+    rows = [row_of(row, seen.common) for row in seen.rows]
     return environment.get_template("report.html.j2").render(
         title=run.title,
         overview=seen,
-        rows=[row_of(row, seen.common) for row in seen.rows],
+        rows=rows,
         rows_max=ROWS_MAX,
+        # a column that no row fills is left out
+        pictured=any(s["thumbnail"] for s, _ in anchors.values()),
         decided=any(row.decision is not None for row in seen.rows),
-        graded=bool(seen.grades) or not seen.decisions,
+        graded=bool(seen.grades),
+        weighed=any(row.weight is not None for row in seen.rows),
+        coded=any(row.coding is not None for row in seen.rows),
+        reasoned=any(row["main"] for row in rows),
         sections=sections,
         anchors=anchors,
         verdicts=_verdicts(seen),

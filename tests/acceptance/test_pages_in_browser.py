@@ -31,6 +31,8 @@ from tests.browser import opened, served
 HOME = Path(__file__).resolve().parents[2] / "recipes"
 RECIPES = ["bread_roll", "egg", "fish_fillet", "potato", "weld_groove", "herring_roe"]
 RECIPES += ["herring_roe/by_words.yaml", "herring_roe/with_outline.yaml"]
+OTHERS = ["belt_scan", "potato_dots", "potato_grid"]
+"""A scan, dots, a grid: their reports differ in kind from those of the rest."""
 RIGS = ["bread_roll/rig.yaml", "egg/rig.yaml", "herring_roe/boards.yaml"]
 """One for each way to calibrate."""
 
@@ -70,6 +72,14 @@ OVERFLOW = """() => {
   return found;
 }"""
 """What is wider than the page, text that leaves its picture or covers other text, tables that are cut off."""
+
+EMPTY_COLUMNS = """() => {
+  const table = document.querySelector("table.rows"), rows = Array.from(table.tBodies[0].rows);
+  const filled = (cell) => cell.textContent.replace(/[\\s–]/g, "") || cell.querySelector("svg");
+  const heads = Array.from(table.tHead.rows[0].cells);
+  return heads.filter((_, k) => !rows.some((row) => filled(row.cells[k]))).map((head) => head.textContent);
+}"""
+"""Headings of the summary table with nothing under them."""
 
 UNREACHABLE = """() => {
   const found = [], rgb = (text) => [...text.match(/[\\d.]+/g).map(Number), 1].slice(0, 4);
@@ -111,21 +121,25 @@ UNREACHABLE = """() => {
 the keyboard, pictures without words."""
 
 
+def few_products_of(name: str, folder: Path, products: int = PRODUCTS) -> Path:
+    """Copy a shipped recipe with few products."""
+    line, _, file = name.partition("/")
+    folder = folder / line
+    shutil.copytree(HOME / line, folder)
+    if (items := folder / "data" / "items.jsonl").exists():
+        items.write_text("".join(items.read_text("utf-8").splitlines(keepends=True)[:products]), "utf-8")
+    for images in folder.glob("images*"):
+        for image in sorted(images.iterdir())[products:]:
+            image.unlink()
+    if (items := folder / "items.jsonl").exists():
+        items.write_text("".join(items.read_text("utf-8").splitlines(keepends=True)[:products]), "utf-8")
+    return folder / (file or "recipe.yaml")
+
+
 @pytest.fixture(scope="module", params=RECIPES)
 def recipe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A shipped recipe with few products."""
-    line, _, name = request.param.partition("/")
-    folder = tmp_path_factory.mktemp("pages") / line
-    shutil.copytree(HOME / line, folder)
-    if (items := folder / "data" / "items.jsonl").exists():
-        items.write_text("".join(items.read_text("utf-8").splitlines(keepends=True)[:PRODUCTS]), "utf-8")
-    for images in folder.glob("images*"):
-        for image in sorted(images.iterdir())[PRODUCTS:]:
-            image.unlink()
-    if (items := folder / "items.jsonl").exists():
-        items.write_text("".join(items.read_text("utf-8").splitlines(keepends=True)[:PRODUCTS]), "utf-8")
-    file: Path = folder / (name or "recipe.yaml")
-    return file
+    return few_products_of(request.param, tmp_path_factory.mktemp("pages"))
 
 
 def assert_fits(page: Any, address: str) -> None:
@@ -143,8 +157,11 @@ def assert_prints(browser: Any, page_file: Path) -> None:
         assert len(page.pdf()) > 10_000
 
 
-@pytest.fixture(scope="module")
-def report(recipe: Path) -> str:
+@pytest.fixture(scope="module", params=[*RECIPES, *OTHERS])
+def report(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
+    recipe = few_products_of(
+        request.param, tmp_path_factory.mktemp("reports"), 1 if request.param in OTHERS else PRODUCTS
+    )
     run_recipe(Recipe.load(recipe, sets=["sinks=[report]", "draws=0"]), recipe.parent / "run")
     return (recipe.parent / "run" / "report.html").as_uri()
 
@@ -154,7 +171,9 @@ def test_a_report_turns_enlarges_and_prints(browser: Any, report: str, width: in
     with opened(browser, report, width=width) as page:
         assert_fits(page, report)
         panels = page.locator("figure.panel")
-        assert panels.count() >= 4
+        # a scan has no image, and so no panels of its peaks
+        assert panels.count() >= (3 if "/belt_scan/" in report else 4)
+        assert page.evaluate(EMPTY_COLUMNS) == []
         assert page.locator("figure.panel .enlarge").count() == panels.count()
         for panel in (panels.first, panels.last):
             small = panel.locator("svg").first.bounding_box()
