@@ -36,14 +36,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Give each process a run of files of its own, so that fixtures and kernels are made once.
+    """Give each process whole files, so that fixtures and kernels are made once.
 
     pytest-xdist would deal the tests out by turns: every process would make the fixture of each file, and
-    all would wait for the same kernels at once. Who is done takes over half of what another has left.
+    all would wait for the same kernels at once. (Work stealing was quicker at the end, and hung there.)
     """
-    from xdist.scheduler import WorkStealingScheduling
+    from xdist.scheduler import LoadFileScheduling
 
-    return WorkStealingScheduling(config, log) if config.getvalue("dist") == "load" else None
+    return LoadFileScheduling(config, log) if config.getvalue("dist") == "load" else None
 
 
 @pytest.fixture
