@@ -13,7 +13,8 @@ from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet, CameraFit, Evidence, ImageFinding
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import ON_BELT, ON_BOARD, Calibration
-from roemetry.stages import Calibrator, Capabilities, StageOptions
+from roemetry.stages import Calibrator, Capabilities
+from roemetry_pinhole.board_options import BoardOptions
 from roemetry_pinhole.boards import Seen
 from roemetry_pinhole.findings import findings_of
 from roemetry_pinhole.joint import Joint, camera_alone, joint, of_planes, planes_by_solids
@@ -39,13 +40,9 @@ from roemetry_pinhole.target_views import target_views
 from roemetry_pinhole.verdict import evidence_of, judged
 
 
-class PinholeCalibratorOptions(StageOptions):
+class PinholeCalibratorOptions(BoardOptions):
     """What is looked for."""
 
-    lens: Literal["none", "radial", "brown", "rational"] = Field(
-        default="brown",
-        description="lens model: none; k1 k2; k1 k2 p1 p2 k3; or with k4 k5 k6 for very wide angles",
-    )
     camera: Path | None = Field(
         default=None,
         description="file with a camera that is known and not looked for: OpenCV's, as `roemetry calibrate "
@@ -87,15 +84,6 @@ class PinholeCalibratorOptions(StageOptions):
     )
     gravity_std_deg: float = Field(
         default=0.5, ge=0, description="standard uncertainty of the direction of gravity, degrees"
-    )
-    print_contrast_max: float = Field(
-        default=0.25,
-        ge=0,
-        le=1,
-        description="largest contrast of the print under a stripe, (light − dark)/(light + dark), to use it",
-    )
-    height_max_mm: float | None = Field(
-        default=None, gt=0, description="greatest height to be measured, mm; none: what the boards reached"
     )
 
 

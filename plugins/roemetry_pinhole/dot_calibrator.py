@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -14,7 +13,8 @@ from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.records.light import at_height, meet
 from roemetry.records.view import View
-from roemetry.stages import Calibrator, Capabilities, StageOptions
+from roemetry.stages import Calibrator, Capabilities
+from roemetry_pinhole.board_options import BoardOptions
 from roemetry_pinhole.boards import Seen, board_views, on_board, on_even_print
 from roemetry_pinhole.dot_lattice import numbered_on_boards, on_belt
 from roemetry_pinhole.dot_rays import (
@@ -42,25 +42,14 @@ _REST_DEGREE = 3
 """Of the polynomial along the rows that a column of dots on the belt gets: it bends as lenses bend lines."""
 
 
-class PinholeDotsOptions(StageOptions):
+class PinholeDotsOptions(BoardOptions):
     """The pattern, and what is looked for."""
 
     lines: int = Field(
         default=11, ge=2, le=200, description="dots in each column; columns are the rig's stripes"
     )
-    lens: Literal["none", "radial", "brown", "rational"] = Field(
-        default="brown",
-        description="lens model: none; k1 k2; k1 k2 p1 p2 k3; or with k4 k5 k6 for very wide angles",
-    )
     camera: Path | None = Field(
         default=None, description="file with a camera that is known and not looked for"
-    )
-    print_contrast_max: float = Field(
-        default=0.25, ge=0, le=1,
-        description="largest contrast of the print under a dot, (light − dark)/(light + dark), to use it",
-    )  # fmt: skip
-    height_max_mm: float | None = Field(
-        default=None, gt=0, description="greatest height to be measured, mm; none: what the boards reached"
     )
 
 

@@ -16,7 +16,7 @@ that was numbered wrongly, or a projector that moved, shows in it.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -25,7 +25,8 @@ from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet, Peaks
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
-from roemetry.stages import Calibrator, Capabilities, StageOptions
+from roemetry.stages import Calibrator, Capabilities
+from roemetry_pinhole.board_options import BoardOptions
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.grid_planes import ACROSS, METHOD, turned_parameters
 from roemetry_pinhole.pinhole_plane import displacements, rest_polynomials, view_of
@@ -34,21 +35,10 @@ _APART_MAX = 3.0
 """Standard deviations, root mean square over camera and belt, that the families may lie apart."""
 
 
-class PinholeGridOptions(StageOptions):
+class PinholeGridOptions(BoardOptions):
     """The pattern, and what is looked for."""
 
     lines: int = Field(default=5, ge=1, le=200, description="lines across; the others are the rig's stripes")
-    lens: Literal["none", "radial", "brown", "rational"] = Field(
-        default="brown",
-        description="lens model: none; k1 k2; k1 k2 p1 p2 k3; or with k4 k5 k6 for very wide angles",
-    )
-    print_contrast_max: float = Field(
-        default=0.25, ge=0, le=1,
-        description="largest contrast of the print under a line, (light − dark)/(light + dark), to use it",
-    )  # fmt: skip
-    height_max_mm: float | None = Field(
-        default=None, gt=0, description="greatest height to be measured, mm; none: what the boards reached"
-    )
 
 
 class PinholeGridCalibrator(Calibrator[PinholeGridOptions]):
@@ -65,15 +55,9 @@ class PinholeGridCalibrator(Calibrator[PinholeGridOptions]):
         CalibrationError
             As `pinhole-plane` does of either family, which is named; or they tell of different cameras.
         """
-        options = self.options
-        one = PinholeCalibrator(
-            PinholeCalibratorOptions(
-                lens=options.lens,
-                print_contrast_max=options.print_contrast_max,
-                height_max_mm=options.height_max_mm,
-            )
-        )
-        other = _turned(observed, options.lines)
+        shared = self.options.model_dump(include=set(BoardOptions.model_fields))
+        one = PinholeCalibrator(PinholeCalibratorOptions(**shared))
+        other = _turned(observed, self.options.lines)
         upright = one.calibrate(observed)
         try:
             across = one.calibrate(other)
