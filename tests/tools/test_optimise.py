@@ -92,6 +92,12 @@ def test_a_search_that_was_stopped_goes_on_where_it_was(
     Stops.after = 10**9
     assert optimise(*words, tmp_path / "out", "--seed", "2", "--resume") == 1
     assert "of another recipe, space, seed or data" in capsys.readouterr().err
+    kept = tmp_path / "out" / ".tried"
+    whole = kept.read_text("utf-8")
+    kept.write_text(whole + "[1]\n", "utf-8")
+    assert optimise(*words, tmp_path / "out", "--resume") == 1
+    assert ".tried: damaged" in capsys.readouterr().err
+    kept.write_text(whole, "utf-8")
     assert optimise(*words, tmp_path / "out", "--resume") == 0
     assert asked[:6] == work[:6]  # which of them reach the last word depends on times
     assert len(asked) == len(work)

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 
 from roemetry.errors import OutputError
-from roemetry.io.files import LineFile, make_folder
+from roemetry.io.files import LineFile, first_fault, make_folder
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.kept import KEPT, KeptScores, identity_of
@@ -58,9 +58,15 @@ class KeptTrials:
         decides = f"{identity_of([space.as_it_is], data, Terms())} {axes} {[*told]}"
         of = hashlib.sha256(decides.encode()).hexdigest()
         self._file = LineFile(path)
-        with path.open(encoding="utf-8") as file:
-            first = file.readline().rstrip("\n")
-            self._known = dict(map(_read, file))
+        try:
+            with path.open(encoding="utf-8") as file:
+                first = file.readline().rstrip("\n")
+                self._known = dict(map(_read, file))
+        except (ValueError, TypeError, RecursionError) as error:
+            self._file.__exit__(None, None, None)
+            raise OutputError(
+                f"{path}: damaged ({first_fault(error)})", hint="begin the search again in another folder"
+            ) from error
         if first and first != of:
             self._file.__exit__(None, None, None)
             raise OutputError(
