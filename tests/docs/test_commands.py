@@ -12,6 +12,7 @@ import shlex
 import shutil
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -65,11 +66,15 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def clone(kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def clone(kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     folder = tmp_path / "clone"
     shutil.copytree(kept, folder)
     monkeypatch.chdir(folder)
-    return folder
+    yield folder
+    # a plugin that the reader wrote is installed for this page only
+    for name, module in list(sys.modules.items()):
+        if Path(getattr(module, "__file__", None) or "/").is_relative_to(folder):
+            del sys.modules[name]
 
 
 @pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: str(page.relative_to(ROOT)))
