@@ -129,20 +129,28 @@ def read(path: Path, name: str | None = None) -> Document:
     twice.
     """
     called = name or str(path)
-    return parse(_text_of(path, called), called)
+    return parse(text_of(path, called), called)
 
 
-def _text_of(path: Path, called: str) -> str:
+def text_of(path: Path, name: str | None = None) -> str:
+    """Read a text file with its line ends as they are; ConfigurationError says where it is not UTF-8."""
+    called = name or str(path)
     try:
-        return path.read_text(encoding="utf-8")
+        with path.open(encoding="utf-8", newline="") as file:
+            return file.read()
     except UnicodeDecodeError as error:
-        raise ConfigurationError(f"{called}: not a text file (byte {error.start} is not UTF-8)") from error
+        before = error.object[: error.start].decode("utf-8")
+        line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
+        raise ConfigurationError(
+            f"{called}:{line}:{column}: byte 0x{error.object[error.start]:02x} is not UTF-8: not a text file",
+            hint="save it as UTF-8 text, if it is meant to be text",
+        ) from error
     except OSError as error:
         why = error.strerror or str(error)
         raise ConfigurationError(f"{called}: cannot be read: {why}", hint="check the path") from error
 
 
-_ROW = re.compile(r"^( *(?:- |\w+: ))(\[[-+0-9.eE, ]+\])$", re.MULTILINE)
+_ROW = re.compile(r"^( *(?:- |\w+: ))(\[[-+0-9.eE, ]+\])\r?$", re.MULTILINE)
 """A line with one list of numbers and nothing else, as `dump` writes them."""
 _HELD = "held-row-"
 
@@ -153,7 +161,7 @@ def read_numbers(path: Path) -> Any:
     A list of numbers on a line of its own is JSON as well, which is read a hundred times as fast as YAML: the
     covariance of 81 planes has sixty thousand numbers.
     """
-    text = _text_of(path, str(path))
+    text = text_of(path)
     rows: list[Any] = []
 
     def hold(line: re.Match[str]) -> str:

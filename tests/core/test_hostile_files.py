@@ -69,6 +69,13 @@ def test_a_recipe_with_any_bytes_changed_is_read_or_refused(data: st.DataObject,
         assert error.message.strip()
 
 
+def test_a_byte_that_is_not_utf_8_has_a_place(tmp_path: Path) -> None:
+    path = tmp_path / "recipe.yaml"
+    path.write_bytes("roemetry: 1\r\nproduct: rö".encode() + b"\xe4e\n")
+    with pytest.raises(RoemetryError, match=r"recipe\.yaml:2:12: byte 0xe4 is not UTF-8"):
+        Recipe.load(path)
+
+
 def test_yes_is_no_number(tmp_path: Path) -> None:
     path = tmp_path / "recipe.yaml"
     extractor = "{use: gaussian, options: {threshold: true}}"

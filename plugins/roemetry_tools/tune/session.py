@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from roemetry.config.recipe import Recipe
 from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry.io.files import json_values, write_bytes
-from roemetry.io.yaml_source import parse
+from roemetry.io.yaml_source import parse, text_of
 from roemetry.records import (
     AMBIGUOUS,
     EDGE,
@@ -90,7 +90,7 @@ class Session:
         self._looked_at: tuple[object, Acquisition] | None = None
         self._listed: tuple[object, Sequence[AcquisitionReference]] | None = None
         self._pictures: dict[str, bytes] = {}
-        self._text = _text_of(self._path)
+        self._text = text_of(self._path)
         self._own: bytes | None = None
         opened = Recipe.load(self._path, registry=self.registry)
         files = [
@@ -271,7 +271,7 @@ class Session:
 
     def _target(self, name: str) -> Path:
         if name in ("", self._path.name):
-            if _text_of(self._path) != self._text:
+            if text_of(self._path) != self._text:
                 raise ConfigurationError(
                     f"{self._path.name} was changed by someone else since it was opened here",
                     hint="save under another name, or load the page's recipe again",
@@ -305,18 +305,6 @@ def _calibration_at(path: Path, changed: int) -> Calibration:
 def _source_key(recipe: Recipe) -> tuple[str, str, str]:
     described = json.dumps(recipe.source.described(), sort_keys=True)
     return described, str(recipe.source_path), str(recipe.path.parent)
-
-
-def _text_of(path: Path) -> str:
-    try:
-        with path.open(encoding="utf-8", newline="") as file:  # line ends stay as they are
-            return file.read()
-    except UnicodeDecodeError as error:
-        raise ConfigurationError(f"{path}: not a text file (byte {error.start} is not UTF-8)") from error
-    except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be read: {error.strerror or error}", hint="check the path"
-        ) from error
 
 
 def _method_of(recipe: Recipe) -> str:
