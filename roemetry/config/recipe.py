@@ -177,8 +177,8 @@ class Recipe:
         stated = self.source_choice.sensor
         return None if stated is None else Sensor(**stated.model_dump())
 
-    @property
-    def hashes(self) -> dict[str, str]:
+    @cached_property
+    def hashes(self) -> Mapping[str, str]:
         """What stands on every row of the record: which recipe and which calibration made it."""
         made = {"recipe_sha256": self.sha256}
         return made if self.calibration is None else made | {"calibration_sha256": self.calibration.sha256}

@@ -194,16 +194,18 @@ def _all_differ(words: NDArray[np.uint64]) -> bool:
 
 def check_joins(frame: Frame) -> None:
     """Refuse an image of one channel that is joined of two; DataError with the place of the join."""
+    import cv2
+
     some = frame.pixels[::_SAMPLED, ::_SAMPLED].ravel()
     brightest = 99 * some.size // 100
     bright = float(np.partition(some, brightest)[brightest])
     least = int(max(_STEP_SHARE * bright, _STEP_MIN * frame.white))
-    for axis, what in ((0, "rows"), (1, "columns")):
-        enough = _JOINED_SHARE * frame.pixels.shape[1 - axis]
-        may_be = _per_boundary(_steps(frame.pixels, axis, 1) > least, axis) > enough
+    for what, lines in (("rows", frame.pixels), ("columns", cv2.transpose(frame.pixels))):
+        enough = _JOINED_SHARE * lines.shape[1]
+        may_be = _per_boundary(_steps(lines, 1) > least) > enough
         if not may_be.any():  # nearly always, across the stripes
             continue
-        joined, alternate = _steep_steps(frame.pixels, axis, least, _with_neighbours(may_be, _BESIDE))
+        joined, alternate = _steep_steps(lines, least, _with_neighbours(may_be, _BESIDE))
         count = np.maximum(alternate, joined - _TIMES_BESIDE * _most_beside(joined))
         place = int(count.argmax())
         if count[place] > enough:
@@ -214,34 +216,26 @@ def check_joins(frame: Frame) -> None:
             )
 
 
-def _steep_steps(
-    pixels: NDArray[Any], axis: int, least: int, wanted: NDArray[np.bool_]
-) -> tuple[Integers, Integers]:
-    """Count, at wanted boundaries along an axis, where light changes at once, and where to and fro."""
+def _steep_steps(lines: NDArray[Any], least: int, wanted: NDArray[np.bool_]) -> tuple[Integers, Integers]:
+    """Count, at wanted boundaries between lines, where light changes at once, and where to and fro."""
     import cv2
 
     before, after = _REACH // 2 - 1, _REACH // 2
     wanted = wanted.copy()
     wanted[:before], wanted[len(wanted) - before :] = False, False  # the image ends within their reach
     needed = _with_neighbours(np.append(wanted, False), after)
-    some = np.compress(needed, pixels, axis=axis)
-    length = [1, 1]
-    length[axis] = _REACH
-    whole = np.ones(length, np.uint8)
-    length[axis] -= 2
-    most = np.ones(length, np.uint8)
-    anchor = (before, 0) if axis else (0, before)
-    step = _steps(some, axis, 1)
-    inside = np.s_[:-1] if axis == 0 else np.s_[:, :-1]
-    change = (cv2.dilate(some, whole, anchor=anchor) - cv2.erode(some, whole, anchor=anchor))[inside]
-    to_and_fro = cv2.dilate(_steps(some, axis, 2), most, anchor=anchor)
+    some = lines[needed]
+    whole, most = np.ones((_REACH, 1), np.uint8), np.ones((_REACH - 2, 1), np.uint8)
+    step = _steps(some, 1)
+    change = (cv2.dilate(some, whole, anchor=(0, before)) - cv2.erode(some, whole, anchor=(0, before)))[:-1]
+    to_and_fro = cv2.dilate(_steps(some, 2), most, anchor=(0, before))
     steep = step > least
     at_once = steep & (change - step <= step // _AT_ONCE)
-    alternate = steep[inside] & (to_and_fro <= step[inside] // _TO_AND_FRO)
+    alternate = steep[:-1] & (to_and_fro <= step[:-1] // _TO_AND_FRO)
     counts = np.zeros((2, len(wanted)), np.int64)
     of_some = np.flatnonzero(wanted[needed[:-1]])
     for count, found in zip(counts, (at_once, alternate), strict=True):
-        count[wanted] = _per_boundary(found, axis)[of_some]
+        count[wanted] = _per_boundary(found)[of_some]
     return counts[0], counts[1]
 
 
@@ -254,19 +248,18 @@ def _most_beside(count: Integers) -> NDArray[np.float32]:
     return np.asarray(cv2.dilate(count[None].astype(np.float32), ring)[0])
 
 
-def _steps(pixels: NDArray[Any], axis: int, far: int) -> NDArray[Any]:
-    """Give by how much each pixel differs from the one so far on along an axis."""
+def _steps(lines: NDArray[Any], far: int) -> NDArray[Any]:
+    """Give by how much each pixel differs from that of the line so far on."""
     import cv2
 
-    one, other = (pixels[:-far], pixels[far:]) if axis == 0 else (pixels[:, :-far], pixels[:, far:])
-    return np.asarray(cv2.absdiff(one, other))
+    return np.asarray(cv2.absdiff(lines[:-far], lines[far:]))
 
 
-def _per_boundary(found: NDArray[np.bool_], axis: int) -> Integers:
-    """Count what was found at each boundary between two pixels along an axis."""
+def _per_boundary(found: NDArray[np.bool_]) -> Integers:
+    """Count what was found at each boundary between two lines."""
     import cv2
 
-    counted: Integers = cv2.reduce(found.view(np.uint8), 1 - axis, cv2.REDUCE_SUM, dtype=cv2.CV_32S)
+    counted: Integers = cv2.reduce(found.view(np.uint8), 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S)
     return counted.ravel()
 
 
