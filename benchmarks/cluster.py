@@ -5,7 +5,7 @@
     of a data set, on a scheduler and two workers. Scheduler and client are killed (SIGKILL) so many times
     each, and workers, at moments drawn at random, and what was killed is started again with --resume. At the
     end the record (of `compare`, its items) must be, byte for byte, that of a run nobody disturbed.
-``python -m benchmarks cluster throughput [--rows 5000]``
+``python -m benchmarks cluster throughput [--rows 5000] [--recipe recipes/herring_roe]``
     Measures so many rows with two processes, then on a scheduler with one and with two workers: products a
     second once all are at work, and the processor time of scheduler and client.
 ``python -m benchmarks cluster scaling [--workers 1 4 16 64] [--task 0.1]``
@@ -49,6 +49,7 @@ def main() -> None:
     )
     parser.add_argument("what", choices=("kills", "throughput", "scaling"))
     parser.add_argument("--rows", type=int, default=5000)
+    parser.add_argument("--recipe", type=Path, default=_RECIPE, help="what `throughput` measures with")
     parser.add_argument("--verb", choices=("run", "compare"), default="run")
     parser.add_argument("--kills", type=int, default=5)
     parser.add_argument("--workers-killed", type=int, default=30)
@@ -61,7 +62,7 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory() as folder:
         if asked.what == "throughput":
-            _throughput(_runs(Path(folder), asked.rows))
+            _throughput(asked.recipe.absolute(), Path(folder), asked.rows)
             return
         work = (_runs if asked.verb == "run" else _compares)(Path(folder), asked.rows)
         done, same = _killed(work, asked.kills, asked.workers_killed)
@@ -123,12 +124,17 @@ class _Work:
 
 
 def _runs(folder: Path, rows: int) -> _Work:
+    sets = ["sinks=[csv]", "draws=0", f"source={_many(_RECIPE, folder, rows)}"]
+    words = [word for text in sets for word in ("--set", text)]
+    return _Work(("run", str(_RECIPE), *words), folder, Path("measurements.jsonl"))
+
+
+def _many(recipe: Path, folder: Path, rows: int) -> str:
+    """Make a manifest of so many rows of a recipe's images; give the source that reads it."""
     manifest = folder / "manifest.jsonl"
-    subprocess.run([*_ROEMETRY, "manifest", str(_RECIPE), str(manifest)], check=True)
+    subprocess.run([*_ROEMETRY, "manifest", str(recipe), str(manifest)], check=True)
     _repeat(manifest, rows)
-    source = f"source={{use: manifest, path: {manifest}}}"
-    sets = [word for text in ("sinks=[csv]", "draws=0", source) for word in ("--set", text)]
-    return _Work(("run", str(_RECIPE), *sets), folder, Path("measurements.jsonl"))
+    return f"{{use: manifest, path: {manifest}}}"
 
 
 def _compares(folder: Path, rows: int) -> _Work:
@@ -146,11 +152,11 @@ def _repeat(listed: Path, rows: int) -> None:
     listed.write_text("".join(json.dumps(line) + "\n" for line in many), "utf-8")
 
 
-def _throughput(work: _Work) -> None:
+def _throughput(path: Path, folder: Path, rows: int) -> None:
     """Print products a second by the process pool and by clusters, and what those cost beside the work."""
-    sets = [word for word in work.command[2:] if word != "--set"]
-    recipe, address = Recipe.load(_RECIPE.absolute(), sets=sets), f"tcp://127.0.0.1:{_PORT}"
-    run_recipe(Recipe.load(_RECIPE, sets=["sinks=[]", "draws=0"]), work.folder / "warm")
+    recipe = Recipe.load(path, sets=["sinks=[csv]", f"source={_many(path, folder, rows)}"])
+    address = f"tcp://127.0.0.1:{_PORT}"
+    run_recipe(Recipe.load(path, sets=["sinks=[]"]), folder / "warm")
     print("| by | products a second | client, ms a product | scheduler, ms a product |\n|---|---|---|---|")
     for name, workers in (("2 processes", 0), ("cluster of 1 worker", 1), ("cluster of 2 workers", 2)):
         made = _cluster(workers) if workers else ()
@@ -158,7 +164,7 @@ def _throughput(work: _Work) -> None:
         moments: list[tuple[float, float, float]] = []
         look = partial(_look, moments, made[0].pid if made else None)
         try:
-            run_recipe(recipe, work.folder / f"by-{name}", executor=executor, on_progress=look)
+            run_recipe(recipe, folder / f"by-{name}", executor=executor, on_progress=look)
         finally:
             for process in made:
                 process.kill()

@@ -34,8 +34,8 @@ LOCAL = "local"
 
 _CHUNK_S = 0.5
 """Work that is handed over at once, s: long beside the 6 ms that a chunk costs scheduler and client."""
-_CHUNK_S_PER_THREAD = 0.04
-"""Of many threads, a chunk is longer: the client, at 6 ms a chunk, is then at work a sixth of the time."""
+_CHUNK_S_PER_THREAD = 0.08
+"""Of many threads, a chunk is longer: the client, at 6 ms a chunk, is then at work a twelfth of the time."""
 _CHUNK_MAX = 200
 """Tasks at once, at most: what is done again where a worker dies."""
 _WAITING_PER_THREAD = 4
