@@ -178,7 +178,7 @@ class Recipe:
         return None if stated is None else Sensor(**stated.model_dump())
 
     @cached_property
-    def hashes(self) -> Mapping[str, str]:
+    def hashes(self) -> dict[str, str]:
         """What stands on every row of the record: which recipe and which calibration made it."""
         made = {"recipe_sha256": self.sha256}
         return made if self.calibration is None else made | {"calibration_sha256": self.calibration.sha256}

@@ -98,6 +98,13 @@ class Url(type(Path())):  # type: ignore[misc]  # pathlib's class for this syste
             system.put_file(str(file), name)
         self.forget()
 
+    def unlink(self, missing_ok: bool = False) -> None:
+        """Take the object away."""
+        with _said_plainly(self):
+            system, name = _system(self)
+            system.rm_file(name)
+        self.forget()
+
     def forget(self) -> None:
         """Let the object be fetched anew when it is read next."""
         _ahead.begun.pop(self, None)

@@ -138,22 +138,34 @@ def _run(
     replayed = max((chosen.make().replays_first for chosen in recipe.sinks), default=0)
     with TemporaryDirectory(prefix=".traces-", dir=folder) as traces:
         kept = KeptTraces(Path(traces), frozenset(reference.id for reference in references[:replayed]))
-        with LineFile(folder / RECORD) as record:
-            measured = measure_all(recipe, to_do, executor, debug, kept)
-            for reference, (lines, took) in zip(to_do, measured, strict=True):
-                record.append("\n".join(lines))
-                if parts is not None:
-                    parts.grown(reference.id, len(lines))
-                finished += 1
-                for stage, value in took.items():
-                    seconds.setdefault(stage, []).append(value)
-                on_progress(finished, len(references))
+        try:
+            with LineFile(folder / RECORD) as record:
+                measured = measure_all(recipe, to_do, executor, debug, kept)
+                for reference, (lines, took) in zip(to_do, measured, strict=True):
+                    record.append("\n".join(lines))
+                    finished += 1
+                    if parts is not None:
+                        parts.grown(reference.id, len(lines))
+                    for stage, value in took.items():
+                        seconds.setdefault(stage, []).append(value)
+                    on_progress(finished, len(references))
+        except BaseException:
+            if not finished:  # such as a cluster that is not there: then there is no run
+                _take_back(folder, parts)
+            raise
         counts, drift = summed_up(folder)
         provenance |= {"finished": _now(), "counts": counts, "seconds_median": _medians(seconds)}
         provenance["drift"] = None if drift is None else drift.text
         write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
         files, faults = derive(recipe, folder, provenance, debug=debug, kept=kept)
     return Outcome(folder, counts, files, faults, drift)
+
+
+def _take_back(folder: Path, parts: Parts | None) -> None:
+    for name in (RECORD, PROVENANCE):
+        (folder / name).unlink(missing_ok=True)
+    if parts is not None:
+        parts.take_back(PROVENANCE)
 
 
 def derive(

@@ -13,7 +13,7 @@ import hashlib
 import json
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -92,6 +92,12 @@ class Parts:
         """Put there what a run is made with: a bucket that takes nothing is known before the first image."""
         write_bytes(self._place / provenance.name, provenance.read_bytes())
         self._write_index()
+
+    def take_back(self, provenance: str) -> None:
+        """Take away what `begin` put there; as far as the bucket lets us, for an error is on its way."""
+        for name in (provenance, INDEX):
+            with suppress(OSError):
+                (self._place / name).unlink()
 
     def grown(self, acquisition: str, rows: int) -> None:
         """Count an acquisition's rows, which stand in the record now; OutputError: a part is not taken."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import fsspec
@@ -130,6 +131,19 @@ def test_a_bucket_that_takes_nothing_is_known_before_the_first_image(recipe, buc
     monkeypatch.setattr(type(fsspec.filesystem("memory")), "put_file", refused)
     with pytest.raises(OutputError, match="monday/provenance.json: cannot be written: no permission"):
         run_recipe(recipe, bucket, on_progress=stop_after(1))
+
+
+@pytest.mark.parametrize("where", ["bucket", "folder"])
+def test_a_run_that_never_begins_leaves_nothing(recipe, bucket, tmp_path, where) -> None:
+    class Gone:
+        def in_order(self, *_: object) -> Iterator[object]:
+            raise OutputError("no scheduler")
+            yield
+
+    with pytest.raises(OutputError, match="no scheduler"):
+        run_recipe(recipe, bucket if where == "bucket" else tmp_path / "here", executor=Gone())
+    assert not fsspec.filesystem("memory").find("/plant")
+    assert not [path for path in tmp_path.glob("here/*") if not path.name.startswith(".")]
 
 
 def test_the_verbs_take_a_url(line, bucket, monkeypatch, capsys) -> None:
