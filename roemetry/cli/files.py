@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from roemetry.cli.options import cluster_option, executor_of, out_option, set_option
+from roemetry.cli.options import cluster_option, executor_of, out_option, place, set_option
 
 if TYPE_CHECKING:
     from roemetry.config.recipe import Recipe
@@ -125,7 +125,7 @@ class CalibrationImages(StrEnum):
 
 def simulate(
     scene: Annotated[Path, typer.Argument(help="A scene file, or a folder with a scene.yaml in it.")],
-    out: Annotated[Path, out_option("Folder of the data set, created if needed.")],
+    out: Annotated[Path, out_option("Folder of the data set, created if needed, or its URL.", parser=place)],
     count: Annotated[int, typer.Option("--count", "-n", min=0, help="Number of items.")] = 10,
     seed: Annotated[
         int,
@@ -176,16 +176,23 @@ def simulate(
     """
     from roemetry.cli.progress import progress
     from roemetry.config.scene import Scene
+    from roemetry.errors import ConfigurationError
+    from roemetry.io.remote import Url, folder_for
     from roemetry.run.simulate import simulate as simulate_scene
 
     changes = list(sets or ())
     if product is not None:
         changes.append(f"simulator.options.product={{family: {product}}}")
     loaded = Scene.load(scene if cluster is None else scene.absolute(), sets=changes)
-    with progress("simulating", quiet=False) as on_progress:
+    if cluster not in (None, "local") and isinstance(out, Url):
+        raise ConfigurationError(
+            f"{out}: the workers of {cluster} write the images, and need a folder that they share",
+            hint="give --out a folder that all machines see",
+        )
+    with folder_for(out) as folder, progress("simulating", quiet=False) as on_progress:
         made = simulate_scene(
             loaded,
-            out if cluster is None else out.absolute(),
+            folder if cluster is None else folder.absolute(),
             count=count,
             seed=seed,
             executor=executor_of(cluster, jobs or os.cpu_count() or 1),
@@ -195,7 +202,7 @@ def simulate(
         )
     were = f", {made.kept} of them were there" if made.kept else ""
     items, views = _many(made.items, "item"), _many(made.views, "calibration image")
-    typer.echo(f"{made.folder}: {items}{were}, {views}")
+    typer.echo(f"{out}: {items}{were}, {views}")
 
 
 def _many(count: int, thing: str) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import tempfile
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Iterable, Iterator
@@ -18,7 +19,7 @@ from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
-from roemetry.errors import ConfigurationError, PluginError
+from roemetry.errors import ConfigurationError, PluginError, RoemetryError
 
 _AHEAD = 16
 """Objects that are fetched ahead: by 30 ms each, the round trip to a bucket, they come at 500 a second."""
@@ -142,6 +143,45 @@ class Url(type(Path())):  # type: ignore[misc]  # pathlib's class for this syste
         with _said_plainly(self):
             system, name = _system(self)
             yield from (Url(system.unstrip_protocol(one)) for one in system.glob(f"{name}/{pattern}"))
+
+
+@contextmanager
+def folder_for(place: Path) -> Iterator[Path]:
+    """Give the folder itself; for a URL one on this machine that has its objects, and what they become.
+
+    What is new or has changed in it is put there when the block ends, however it ends; what was taken away
+    is taken away there, too.
+    """
+    if not isinstance(place, Url):
+        yield place
+        return
+    with tempfile.TemporaryDirectory(prefix="roemetry-") as name:
+        folder = Path(name) / place.name
+        folder.mkdir()
+        with _said_plainly(place):
+            system, root = _system(place)
+            for found in system.find(root) if system.exists(root) else ():
+                file = folder / found[len(root) :].strip("/")
+                file.parent.mkdir(parents=True, exist_ok=True)
+                system.get_file(found, str(file))
+        before = _states(folder)
+        try:
+            yield folder
+        except RoemetryError as error:
+            error.message = error.message.replace(str(folder), str(place))
+            raise
+        finally:
+            after = _states(folder)
+            for file in sorted(after.items() - before.items()):
+                (place / file[0]).put(folder / file[0])
+            for gone in before.keys() - after.keys():
+                (place / gone).unlink()
+
+
+def _states(folder: Path) -> dict[str, tuple[int, int]]:
+    """Give what changes when a file below a folder is written."""
+    states = ((path, path.stat()) for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): (one.st_mtime_ns, one.st_size) for path, one in states}
 
 
 def _system(url: Url) -> tuple[Any, str]:

@@ -13,10 +13,11 @@ import typer
 from rich.console import Console
 
 from roemetry.calibrating.known_products import read_labels
-from roemetry.cli.options import cluster_option, executor_of, next_folder, place
+from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, place
 from roemetry.cli.progress import progress
 from roemetry.errors import ConfigurationError, InterruptedRunError
 from roemetry.io.files import write_whole
+from roemetry.io.remote import folder_for
 from roemetry.run.executors import Executor
 from roemetry.stages.registry import discover
 from roemetry_tools.compare.agreement import Terms
@@ -34,7 +35,7 @@ from roemetry_tools.compare.tables import (
     verdicts_of,
 )
 from roemetry_tools.compare.variants import Variant, make_variants
-from roemetry_tools.compare.write import SUMMARY, ItemsFile, write_comparison
+from roemetry_tools.compare.write import PAGE, SUMMARY, ItemsFile, write_comparison
 
 
 def compare(
@@ -67,11 +68,10 @@ def compare(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            help="Folder for the results; one that holds a comparison is refused; default: "
+        out_option(
+            "Folder for the results, or its URL; one that holds a comparison is refused; default: "
             "results/NAME-compare-1, then -2, …",
+            parser=place,
         ),
     ] = None,
     tolerance: Annotated[
@@ -138,36 +138,37 @@ def compare(
     assert base is not None
     true_labels = None if labels is None else read_labels(labels)
     terms = Terms(tolerance, folds, seed, stop_early)
-    folder = out or next_folder(base.path, "-compare")
     given: list[Path | None] = list(data) if data else [None]
     names = ["" if one is None else one.resolve().name for one in given]
     if len(set(names)) < len(names):
         raise ConfigurationError(f"two data sets are called {max(names, key=names.count)}", hint="rename one")
     every: dict[str, Sequence[Compared]] = {}
     told = {}
-    for name, one in zip(names, given, strict=True):
-        into = folder / name if len(given) > 1 else folder
-        try:
-            every[name] = _one_set(
-                variants, Data(base, one, labels=true_labels), terms, executor, into, resume, as_json
-            )
-        except KeyboardInterrupt as stop:
-            raise InterruptedRunError(
-                f"stopped; what was scored is kept in {folder}",
-                hint=f"go on with --out {folder} --resume",
-            ) from stop
-        told[name] = json.loads((into / SUMMARY).read_text("utf-8"))
-    for name in names:  # until then a comparison on several sets that is stopped goes on with all of them
-        (folder / name / KEPT if len(given) > 1 else folder / KEPT).unlink(missing_ok=True)
-    across = across_sets(every)
-    if len(given) > 1:
-        write_whole(folder / "between.csv", across_to_csv(across))
+    place_of_it = out or next_folder(base.path, "-compare")
+    with folder_for(place_of_it) as folder:
+        for name, one in zip(names, given, strict=True):
+            into = folder / name if len(given) > 1 else folder
+            try:
+                every[name] = _one_set(
+                    variants, Data(base, one, labels=true_labels), terms, executor, into, resume, as_json
+                )
+            except KeyboardInterrupt as stop:
+                raise InterruptedRunError(
+                    f"stopped; what was scored is kept in {folder}",
+                    hint=f"go on with --out {place_of_it} --resume",
+                ) from stop
+            told[name] = json.loads((into / SUMMARY).read_text("utf-8"))
+        for name in names:  # until then a comparison on several sets that is stopped goes on with all of them
+            (folder / name / KEPT if len(given) > 1 else folder / KEPT).unlink(missing_ok=True)
+        across = across_sets(every)
+        if len(given) > 1:
+            write_whole(folder / "between.csv", across_to_csv(across))
     if as_json:
         typer.echo(json.dumps(told if len(given) > 1 else told[names[0]], indent=2))
     elif len(given) > 1:
-        console = Console()
-        console.print(across_table(across))
-        console.print(f"  {folder / 'between.csv'}", highlight=False, soft_wrap=True)
+        Console().print(across_table(across))
+    if not as_json:
+        typer.echo(f"  {place_of_it / ('between.csv' if len(given) > 1 else PAGE)}")
     if any(one.failure for compared in every.values() for one in compared):
         raise typer.Exit(1)
 
@@ -197,13 +198,13 @@ def _one_set(
             on_scored=items.add,
             on_progress=shown,
         )
-    files = write_comparison(folder, compared, data, terms=terms, command=sys.argv[1:], began=began)
+    write_comparison(folder, compared, data, terms=terms, command=sys.argv[1:], began=began)
     if not as_json:
-        _show(compared, terms, data.without_truth, files)
+        _show(compared, terms, data.without_truth)
     return compared
 
 
-def _show(compared: Sequence[Compared], terms: Terms, without_truth: str, files: Sequence[Path]) -> None:
+def _show(compared: Sequence[Compared], terms: Terms, without_truth: str) -> None:
     recipe = compared[0].variant.recipe
     assert recipe is not None
     console = Console()
@@ -214,5 +215,3 @@ def _show(compared: Sequence[Compared], terms: Terms, without_truth: str, files:
     said = [*verdicts_of(compared, terms.tolerance_pct), *problems_of(compared), without_truth]
     for sentence in filter(None, said):
         console.print(sentence, highlight=False, markup=False, soft_wrap=True)
-    for file in files:
-        console.print(f"  {file}", highlight=False, soft_wrap=True)

@@ -21,6 +21,7 @@ from roemetry.cli.options import cluster_option, executor_of, next_folder, out_o
 from roemetry.cli.progress import progress
 from roemetry.errors import ConfigurationError, DataError, InterruptedRunError
 from roemetry.io.files import write_whole
+from roemetry.io.remote import folder_for
 from roemetry.stages.registry import discover
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.comparison import compare
@@ -95,7 +96,11 @@ def optimise(
     ] = 1,
     out: Annotated[
         Path | None,
-        out_option("Folder for the results, created if needed; default: results/NAME-optimise-1, then -2, …"),
+        out_option(
+            "Folder for the results, created if needed, or its URL; default: results/NAME-optimise-1, then "
+            "-2, …",
+            parser=place,
+        ),
     ] = None,
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, help="Worker processes.")] = 1,
     cluster: Annotated[str | None, cluster_option()] = None,
@@ -125,52 +130,54 @@ def optimise(
     field = field_of(every, None if by is None else _FIELDS[by])
     search = Search(space, seed)
     choosing, rest = every.parted(held_out, seed)
-    folder = out or next_folder(base.recipe.path, "-optimise")
+    place_of_it = out or next_folder(base.recipe.path, "-optimise")
     began, last, terms = datetime.now(UTC), Trueness(field), Terms(seed=seed)
-    try:
-        with (
-            ItemsFile(folder, resume=resume) as items,
-            KeptTrials(folder, space, choosing, (seed, field), resume=resume) as kept,
-        ):
-            with progress("trying", quiet=False) as shown:
-                for tried in search.run(trials, choosing, field, executor, kept, shown):
-                    write_whole(folder / TRIALS, to_csv(tried, space.axes))
-            chosen = finalists(search.trials)
-            if not chosen:
-                (folder / TRIED).unlink()
-                raise DataError(f"no trial measured anything: {search.trials[0].fault}")
-
-            def add(variant: Variant, scored: Scored) -> None:
-                items.add(variant, scored)
-                last.add(variant, scored)
-
-            variants = [base, *(one.variant for one in chosen if one.variant.number)]
+    with folder_for(place_of_it) as folder:
+        try:
             with (
-                KeptScores(folder, variants, rest, terms, resume=resume) as scores,
-                progress("comparing", quiet=False) as shown,
+                ItemsFile(folder, resume=resume) as items,
+                KeptTrials(folder, space, choosing, (seed, field), resume=resume) as kept,
             ):
-                compared = compare(
-                    variants,
-                    rest,
-                    terms=terms,
-                    executor=executor,
-                    kept=scores,
-                    on_scored=add,
-                    on_progress=shown,
-                )
-    except KeyboardInterrupt as stop:
-        raise InterruptedRunError(
-            f"stopped; what was tried is kept in {folder}", hint=f"go on with --out {folder} --resume"
-        ) from stop
-    files = write_comparison(folder, compared, rest, terms=terms, command=sys.argv[1:], began=began)
-    for name in (TRIED, KEPT):
-        (folder / name).unlink()
+                with progress("trying", quiet=False) as shown:
+                    for tried in search.run(trials, choosing, field, executor, kept, shown):
+                        write_whole(folder / TRIALS, to_csv(tried, space.axes))
+                chosen = finalists(search.trials)
+                if not chosen:
+                    (folder / TRIED).unlink()
+                    raise DataError(f"no trial measured anything: {search.trials[0].fault}")
+
+                def add(variant: Variant, scored: Scored) -> None:
+                    items.add(variant, scored)
+                    last.add(variant, scored)
+
+                variants = [base, *(one.variant for one in chosen if one.variant.number)]
+                with (
+                    KeptScores(folder, variants, rest, terms, resume=resume) as scores,
+                    progress("comparing", quiet=False) as shown,
+                ):
+                    compared = compare(
+                        variants,
+                        rest,
+                        terms=terms,
+                        executor=executor,
+                        kept=scores,
+                        on_scored=add,
+                        on_progress=shown,
+                    )
+        except KeyboardInterrupt as stop:
+            raise InterruptedRunError(
+                f"stopped; what was tried is kept in {folder}",
+                hint=f"go on with --out {place_of_it} --resume",
+            ) from stop
+        files = write_comparison(folder, compared, rest, terms=terms, command=sys.argv[1:], began=began)
+        for name in (TRIED, KEPT):
+            (folder / name).unlink()
     console = Console()
     console.print(_table(search.trials[0], chosen, last, compared))
     for line in _last_word(chosen[0], field, last, compared):
         console.print(line, highlight=False, markup=False, soft_wrap=True)
     for file in (folder / TRIALS, *files):
-        console.print(f"  {file}", highlight=False, soft_wrap=True)
+        console.print(f"  {place_of_it / file.relative_to(folder)}", highlight=False, soft_wrap=True)
 
 
 def _table(as_it_is: Trial, chosen: Sequence[Trial], last: Trueness, compared: Sequence[Compared]) -> Table:

@@ -7,6 +7,7 @@ import json
 import shutil
 from html.parser import HTMLParser
 
+import fsspec
 import pytest
 
 from tests.tools.compare.conftest import COUNT
@@ -42,6 +43,27 @@ def test_verdicts_intervals_and_classes_reach_every_file(dataset, tmp_path, caps
     page = (out / "comparison.html").read_text("utf-8")
     for said in ("limits of agreement", "Beside the recipe as it is", "Choosing among these variants"):
         assert said in page
+
+
+def test_a_comparison_in_a_bucket_is_stopped_and_gone_on_with(dataset, capsys, monkeypatch, roemetry) -> None:
+    place, bucket = "memory://plant/study", fsspec.filesystem("memory")
+    words = [dataset(4), "--vary", "stages.weigher.options.density_g_per_cm3=1.54", "--out", place]
+
+    def stopped(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as broken:
+        broken.setattr("roemetry_tools.compare.write_comparison", stopped)
+        assert roemetry(*words) == 130
+    assert f"what was scored is kept in {place}" in capsys.readouterr().err
+    assert sorted(bucket.glob("/plant/study/.*")) == ["/plant/study/.scored"]
+    assert roemetry(*words) == 1, "a folder that holds a comparison is refused"
+    assert f"{place}: there is a comparison in this folder" in capsys.readouterr().err
+    assert roemetry(*words, "--resume") == 0
+    assert f"{place}/comparison.html" in capsys.readouterr().out
+    names = ["comparison.csv", "comparison.html", "comparison.json", "items.jsonl"]
+    assert sorted(bucket.find("/plant/study")) == [f"/plant/study/{name}" for name in names]
+    bucket.rm("/plant", recursive=True)
 
 
 class Tags(HTMLParser):
