@@ -25,6 +25,7 @@ import gc
 import hashlib
 import itertools
 import os
+import platform
 import re
 import shutil
 import sys
@@ -70,9 +71,10 @@ def machine() -> str:
     import numba
     from llvmlite import binding
 
-    named = numba.config.CPU_NAME, numba.config.CPU_FEATURES
-    found = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
-    text = repr((numba.__version__, sys.platform, named, found))
+    target: tuple[Any, ...] = (numba.config.CPU_NAME, numba.config.CPU_FEATURES)
+    if None in target:
+        target = (*target, binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten())
+    text = repr((numba.__version__, sys.platform, platform.machine(), *target))
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
