@@ -2,9 +2,9 @@
 
 ``ROEMETRY_KERNELS=recipes/herring_roe/with_outline.yaml pip wheel . --no-deps --no-build-isolation``, in an
 environment that has roemetry's dependencies and hatchling. The wheel then carries the tag of its platform,
-and its first run compiles nothing on machines with the same processor, Python and numba; on others the
-kernels stand aside and the first run compiles as ever (`roemetry_kernels.kernel_cache`). Without the variable
-the wheel holds sources alone.
+and its first run compiles nothing on machines with the same Python and numba whose processors have AVX2; on
+others the kernels stand aside and the first run compiles as ever (`roemetry_kernels.kernel_cache`). Without
+the variable the wheel holds sources alone.
 """
 
 from __future__ import annotations

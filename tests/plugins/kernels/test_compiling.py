@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import ClassVar
 
 import pytest
+from llvmlite import binding
 from numba import types
 
+import roemetry_kernels
 from roemetry.run.time_limit import StageTimeout, time_limit
 from roemetry_kernels import kernel_cache
 from roemetry_kernels.compiling import kernel
@@ -140,6 +142,22 @@ def test_what_another_processor_made_stands_aside(package: Path) -> None:
     assert ran(package.parent, NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="") == ["7.0", "0"]
     assert ran(package.parent) == ["7.0", "0"]
     assert ran(package.parent, NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="") == ["7.0", "1"]
+
+
+@pytest.mark.parametrize(("lacks", "target"), [("avx512f", "x86-64-v3"), ("avx2", None)])
+def test_every_processor_with_avx2_runs_the_same_kernels(
+    monkeypatch: pytest.MonkeyPatch, lacks: str, target: str | None
+) -> None:
+    has = dict.fromkeys(roemetry_kernels._NEEDED, True) | {lacks: False}
+    monkeypatch.setattr(binding, "get_host_cpu_features", lambda: has)
+    monkeypatch.setenv("NUMBA_CPU_NAME", "somebody's")
+    monkeypatch.setenv("NUMBA_CPU_FEATURES", "")
+    roemetry_kernels._compile_for_common_processors()
+    assert os.environ["NUMBA_CPU_NAME"] == "somebody's"
+    monkeypatch.delenv("NUMBA_CPU_NAME")
+    monkeypatch.delitem(sys.modules, "numba")
+    roemetry_kernels._compile_for_common_processors()
+    assert os.environ.get("NUMBA_CPU_NAME") == target
 
 
 def test_kernels_installed_in_a_folder_that_cannot_be_written_are_used_from_home(package: Path) -> None:
