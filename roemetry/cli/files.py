@@ -174,7 +174,8 @@ def simulate(
     The same scene, seed and count give the same bytes with any number of jobs. An item counts once its line
     is in items.jsonl, so an interrupted set contains no half items.
     """
-    from roemetry.cli.progress import progress
+    from roemetry.cli.progress import COMPILING, progress
+    from roemetry.cli.warm_up import warm_up
     from roemetry.config.scene import Scene
     from roemetry.errors import ConfigurationError
     from roemetry.io.remote import Url, folder_for
@@ -189,6 +190,9 @@ def simulate(
             f"{out}: the workers of {cluster} write the images, and need a folder that they share",
             hint="give --out a folder that all machines see",
         )
+    if cluster is None:
+        with progress(COMPILING, quiet=False) as on_progress:
+            warm_up({"simulator": loaded.simulator}, on_progress)
     with folder_for(out) as folder, progress("simulating", quiet=False) as on_progress:
         made = simulate_scene(
             loaded,

@@ -17,6 +17,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from roemetry.cli.progress import COMPILING
+from roemetry.cli.warm_up import warm_up
+from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, OutputError
 from roemetry.io.files import make_folder, write_whole
 from roemetry_tools.init_project.layout import Answers, Layout, lay_out
@@ -75,8 +78,9 @@ def start_like(
     )
     with _all_or_nothing(folder):
         written = _write(folder, texts)
+        scene = _compiled(folder, step)
         with step("simulating products") as shown:
-            _simulate(folder, items, "none", jobs, shown)
+            _simulate(scene, items, "none", jobs, shown)
     return Started(folder, written, items, None)
 
 
@@ -98,6 +102,7 @@ def start_own(
     _check_empty(folder)
     with _all_or_nothing(folder):
         written = _write(folder, texts_of(answers, layout, items))
+        scene = _compiled(folder, step)
         with ExitStack() as bar:
             shown = bar.enter_context(step("simulating products" if items else _BOARDS))
 
@@ -109,7 +114,7 @@ def start_own(
                     shown = bar.enter_context(step(_BOARDS))
                 shown(*((done, items) if done < items else (done - items, of - items)))
 
-            _simulate(folder, items, "charuco", jobs, on_progress)
+            _simulate(scene, items, "charuco", jobs, on_progress)
         with step("calibrating"):
             written = (*written, _calibrate(folder))
     return Started(folder, written, items, layout)
@@ -176,14 +181,21 @@ def _write(folder: Path, texts: Mapping[str, str]) -> tuple[Path, ...]:
     return tuple(folder / name for name in texts)
 
 
+def _compiled(folder: Path, step: Step) -> Scene:
+    """Load the scene, and compile its simulator's kernels where that was never done."""
+    scene = Scene.load(folder)
+    with step(COMPILING) as shown:
+        warm_up({"simulator": scene.simulator}, shown)
+    return scene
+
+
 def _simulate(
-    folder: Path, items: int, views: Any, jobs: int, on_progress: Callable[[int, int], None]
+    scene: Scene, items: int, views: Any, jobs: int, on_progress: Callable[[int, int], None]
 ) -> None:
-    from roemetry.config.scene import Scene
     from roemetry.run.simulate import simulate
 
     given: dict[str, Any] = {"count": items, "seed": _SEED, "jobs": jobs, "calibration": views}
-    simulate(Scene.load(folder), folder / _DATA, **given, on_progress=on_progress)
+    simulate(scene, scene.path.parent / _DATA, **given, on_progress=on_progress)
 
 
 def _calibrate(folder: Path) -> Path:
