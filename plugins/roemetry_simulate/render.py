@@ -116,20 +116,22 @@ def _fan_light(
     """Light of one family of planes and of all else."""
     image = np.zeros((rig.camera.height_px, rig.camera.width_px, 3))
     if draft:
-        _light(rig, solid, surface, 1, image)
+        _light(rig, solid, surface, 1, image, step=_DRAFT_STEP)
+        image = _between(image)
         grey = image @ np.array([1.0, rig.ambient_grey, rig.stray_grey])
-        _light(rig, solid, surface, _DRAFT_SAMPLES, image, _uneven(grey))
+        _light(rig, solid, surface, _DRAFT_SAMPLES, image, _uneven(grey, _DRAFT_STEP))
     else:
         _light(rig, solid, surface, samples, image)
     return image[..., 0], rig.ambient_grey * image[..., 1] + rig.stray_grey * image[..., 2]
 
 
 def _light(
-    rig: Rig, solid: Solid, surface: Surface, samples: int, image: Floats, where: Flags | None = None
-) -> None:
+    rig: Rig, solid: Solid, surface: Surface, samples: int, image: Floats, where: Flags | None = None,
+    *, step: int = 1,
+) -> None:  # fmt: skip
     """Write light of the laser, light from straight above and light of the stray lamp, (height, width, 3).
 
-    Only into the pixels of `where`, shape (height, width).
+    Only into the pixels of `where`, shape (height, width), of every `step` rows and columns.
     """
     camera, laser = rig.camera, rig.laser
     planes = np.column_stack([laser.normals, laser.offsets_mm, laser.peak_grey])
@@ -139,7 +141,7 @@ def _light(
         laser.rows, laser.packed(), stray, _maps(surface), surface.texture,
         _albedo(surface, surface.laser_albedo),
         np.array(surface.below, dtype=np.float64), *surface.picture_in("laser"),
-        image, np.ones(image.shape[:2], bool) if where is None else where, samples,
+        image, np.ones(image.shape[:2], bool) if where is None else where, samples, step,
     )  # fmt: skip
 
 
@@ -153,12 +155,11 @@ def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4, *, d
     image = np.zeros((camera.height_px, camera.width_px))
     if draft:
         _under_lamps(rig, solid, surface, 1, image, square=4)
-        from scipy.ndimage import convolve1d, maximum_filter
+        from scipy.ndimage import convolve1d
 
         for axis in (0, 1):  # takes out what alternates over four pixels, and keeps what is even
             image = convolve1d(image, [0.125, 0.25, 0.25, 0.25, 0.125], axis, mode="mirror")
-        uneven = maximum_filter(_uneven(rig.plain_grey * image), 3)  # an edge's middle has no bend
-        _under_lamps(rig, solid, surface, _DRAFT_SAMPLES, image, uneven)
+        _under_lamps(rig, solid, surface, _DRAFT_SAMPLES, image, _uneven(rig.plain_grey * image, 1))
     else:
         _under_lamps(rig, solid, surface, samples, image)
     if rig.stray_mm is None:
@@ -197,6 +198,8 @@ def _under_lamps(
     )  # fmt: skip
 
 
+_DRAFT_STEP = 2
+"""A draft's first look at laser light casts one ray into every second pixel of every second row."""
 _DRAFT_SAMPLES = 2
 """Along each side of an uneven pixel in a draft: an edge is right to half a pixel, and the lens blurs it."""
 _BEND_GREY = 6.0
@@ -204,11 +207,27 @@ _BEND_GREY = 6.0
 pixel differs from its middle by a 24th of it, here by a quarter of a grey level; noise is one or more."""
 
 
-def _uneven(grey: Floats) -> Flags:
-    """Find the pixels of a first look, (height, width), whose neighbours do not tell them: edges, stripes."""
-    from scipy.ndimage import laplace
+def _between(image: Floats) -> Floats:
+    """Fill the pixels between the rays of a first look, (height, width, …), straight from one to the next."""
+    rays = image[::_DRAFT_STEP, ::_DRAFT_STEP]
+    whole = np.repeat(np.repeat(rays, 2, axis=0), 2, axis=1)[: image.shape[0], : image.shape[1]]
+    columns = whole[:, 1:-1:2]
+    columns += 0.5 * (whole[:, 2::2] - columns)
+    rows = whole[1:-1:2]
+    rows += 0.5 * (whole[2::2] - rows)
+    return np.ascontiguousarray(whole)
 
-    return np.asarray(np.abs(laplace(grey, mode="nearest")) > _BEND_GREY)
+
+def _uneven(grey: Floats, step: int) -> Flags:
+    """Find the pixels of a first look, (height, width), whose neighbours do not tell them: edges, stripes.
+
+    Where rays are `step` px apart and the rest lies straight between them, bends stand at the rays, `step`
+    times as large.
+    """
+    from scipy.ndimage import laplace, maximum_filter
+
+    bent = np.abs(laplace(grey, mode="nearest")) > _BEND_GREY / step
+    return np.asarray(maximum_filter(bent, 3))  # an edge's middle, and what is between rays, has no bend
 
 
 def render(
@@ -224,7 +243,8 @@ def render(
     """Take one image of a scene: uint8, or uint16 over 8 bits; the same arguments give the same bytes.
 
     The seed is that of speckle and noise; `plain` is laser off and plain light on; `samples` stand along
-    each side of a pixel. A draft casts one ray a pixel, and four where these show edges or stripes.
+    each side of a pixel. A draft casts a ray into each fourth pixel, and four into each where these show
+    edges or stripes.
     """
     lens = _lens(rig, solid)
     if plain:
@@ -291,14 +311,14 @@ def _speckle(rng: np.random.Generator, shape: tuple[int, ...], sensor: Sensor) -
 def _render_laser(
     body: AnyBody, pinhole: Floats, rotation: Floats, projector: Floats, axis: Floats, planes: Floats,
     rows: Floats, fan: Floats, stray: Floats, maps: Floats, texture: Floats, albedo: Floats, below: Floats,
-    picture: Floats, picture_from: Floats, image: Floats, where: Flags, samples: int,
+    picture: Floats, picture_from: Floats, image: Floats, where: Flags, samples: int, step: int,
 ) -> None:  # fmt: skip
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
     beam, scratch = np.zeros(3), np.zeros(3)
     origin, reach = pinhole[:3].copy(), body.reach
     share = 1.0 / (samples * samples)
-    for row in range(where.shape[0]):
-        for column in range(where.shape[1]):
+    for row in range(0, where.shape[0], step):
+        for column in range(0, where.shape[1], step):
             if not where[row, column]:
                 continue
             image[row, column] = 0.0
