@@ -229,9 +229,9 @@ def on_rest_line(
 
     Single peaks scatter about the line by as much as a body may lie beside it; the mean of some rows does
     not. How far it may be off is what it is in the image's outer rows, where belt is expected; there, too, it
-    is seen by how much the belt's stripes have moved from the calibrated lines. What goes through a line, from
-    one side to the other within a few rows, does not lie on it: a body's edge, where it meets a neighbour's
-    belt, does that.
+    is seen by how much the belt's stripes have moved from the calibrated lines. What goes through a line
+    from one side to the other within a few rows does not lie on it: a body's edge, where it meets a
+    neighbour's belt, does that.
 
     Parameters
     ----------
