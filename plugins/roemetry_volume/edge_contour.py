@@ -305,9 +305,12 @@ def _shown_larger(
     for number, region in regions.items():
         if not region.any():
             continue
-        body = int(np.bincount(bodies[region]).argmax())  # 0: the product is as bright as the belt
-        beyond = np.count_nonzero((bodies == body) & (_COARSE * away > spacing_px)) / np.count_nonzero(region)
-        if body and beyond > _BEYOND_SHARE:
+        body = int(np.bincount(bodies[region]).argmax())
+        shown = bodies == body
+        if body == 0 or 2 * np.count_nonzero(shown) > shown.size:
+            continue  # as bright as the belt, which is most of the image: brightness tells nothing
+        beyond = np.count_nonzero(shown & (_COARSE * away > spacing_px)) / np.count_nonzero(region)
+        if beyond > _BEYOND_SHARE:
             found[number] = Reason(
                 "images-contradict",
                 f"beyond what stripes show of the product the plain-light image shows {beyond:.0%} more of "

@@ -157,8 +157,13 @@ def fitted_rim(
         base[k] = 1.0 / (wide[k] ** 2 + _SPREAD_FLOOR_MM**2)
     base /= base.mean()
     found, weight, off = robust_fit(rows, rim, base, _RIDGE.copy(), _SCATTER_LEAST_MM, _ROUNDS)
-    # not less for many ends: what makes one end look low makes its neighbours look low
-    std = np.sqrt((weight * (off**2 + wide**2)).sum() / weight.sum())
+    # what each end leaves open by itself is alike for all; what ends differ by averages out, the less so the
+    # more a side's neighbours differ alike, as where the product is twisted
+    scatter = (weight * off**2).sum()
+    alike = (np.sqrt(weight[2:] * weight[:-2]) * off[2:] * off[:-2]).sum()
+    alike = min(max(alike / scatter, 0.0), 1.0) if scatter > 0.0 else 0.0
+    apart = max(known.size * (1.0 - alike) / (1.0 + alike), 1.0)
+    std = np.sqrt(((weight * wide**2).sum() + scatter / apart) / weight.sum())
     return found, (scale_s, scale_v), max(std, 0.1), is_dome
 
 

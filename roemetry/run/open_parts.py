@@ -82,7 +82,8 @@ def open_parts(
     """Give, by product, what of it is open.
 
     What lies inside a product's outline is the product's, also on a rest line: the top of a flat body one
-    spacing of displacement high shows its stripes where the belt's neighbours would be. Otherwise, a refused
+    spacing of displacement high shows its stripes where the belt's neighbours would be. What lies on a rest
+    line outside it is belt, though a bent product's points lie to both sides. Otherwise, a refused
     peak within reach of several products counts for each of them: it may be of any, and they may be
     pieces of one body that only what is open holds together.
     """
@@ -101,10 +102,12 @@ def open_parts(
         mine = (stripes.product == number) & stripes.seen
         if not mine.any():
             continue
-        part = _within(mine, stripes.x_px, row, x_px, off_belt, spacing_px)
-        for outline in outlines:
-            if outline.product == number:
-                part |= _well_inside(outline, row, x_px, _DEPTH_SPACINGS * spacing_px)
+        own = [outline for outline in outlines if outline.product == number]
+        outside = [~_inside(outline, row, x_px) for outline in own]
+        belt = ~off_belt & np.logical_and.reduce(outside) if own else np.zeros(row.size, np.bool_)
+        part = _within(mine, stripes.x_px, row, x_px, off_belt, belt, spacing_px)
+        for outline in own:
+            part |= _well_inside(outline, row, x_px, _DEPTH_SPACINGS * spacing_px)
         sure = int(np.count_nonzero(mine))
         if part.any():
             at, place = row[part], x_px[part]
@@ -199,8 +202,9 @@ def _spacing_px(stripes: StripeMap) -> float:
 
 
 def _within(
-    mine: Flags, x_px: Floats, row: Integers, place_px: Floats, off_belt: Flags, spacing_px: float
-) -> Flags:
+    mine: Flags, x_px: Floats, row: Integers, place_px: Floats, off_belt: Flags, belt: Flags,
+    spacing_px: float,
+) -> Flags:  # fmt: skip
     """Mark the refused peaks within a product's reach, which grows by those that were found."""
     rows = mine.shape[1]
     low = np.where(mine, x_px, np.inf).min(axis=0)
@@ -211,7 +215,7 @@ def _within(
         reach = _REACH_SPACINGS * spacing_px
         inside = (place_px >= low[row]) & (place_px <= high[row])
         beside = (place_px >= near_low[row] - reach) & (place_px <= near_high[row] + reach) & off_belt
-        more = (inside | beside) & ~found
+        more = (inside | beside) & ~found & ~belt
         if not more.any():
             break
         found |= more

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -106,3 +107,16 @@ def test_what_an_outline_holds_is_the_products_also_on_a_rest_line() -> None:
     deep = range(26, 155)  # half a spacing of 50 px inside
     assert (found[1].points, found[1].rows) == (len(deep), (deep[0], deep[-1]))
     assert found[2].points == 0
+
+
+def test_belt_outside_a_bent_products_outline_is_not_the_products() -> None:
+    """A stripe's belt lies between the product's points to both sides, on its rest line."""
+    lost = tuple((2, row) for row in range(60, 140))
+    peaks, stripes = scene(lost)
+    on_belt = np.where(peaks.x_px == REST_PX[2, 0] + LIFTED_PX, REST_PX[2, 0], peaks.x_px)
+    peaks = replace(peaks, x_px=on_belt)
+    (left, _), (right, _) = REST_PX[1:4:2, :2] + LIFTED_PX
+    bent = np.array([[left - 9, 59], [right + 9, 59], [right + 9, 141], [right - 9, 141],
+                     [right - 9, 61], [left + 9, 61], [left + 9, 141], [left - 9, 141]])  # fmt: skip
+    assert open_parts(peaks, stripes)[1].points == 80
+    assert open_parts(peaks, stripes, (Outline(product=1, xy_px=bent.astype(np.float64)),))[1].points <= 2

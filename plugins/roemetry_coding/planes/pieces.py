@@ -229,7 +229,9 @@ def on_rest_line(
 
     Single peaks scatter about the line by as much as a body may lie beside it; the mean of some rows does
     not. How far it may be off is what it is in the image's outer rows, where belt is expected; there, too, it
-    is seen by how much the belt's stripes have moved from the calibrated lines.
+    is seen by how much the belt's stripes have moved from the calibrated lines. What goes through a line
+    from one side to the other within a few rows does not lie on it: a body's edge, where it meets a
+    neighbour's belt, does that.
 
     Parameters
     ----------
@@ -276,6 +278,17 @@ def on_rest_line(
     for p in range(peaks):
         if told[p] and least_px[p] > still_px:
             still[p] = -1
+    for t in range(start.shape[0] - 1):
+        n = start[t] + 1
+        while n < start[t + 1]:
+            s, begin = still[order[n]], n
+            while n < start[t + 1] and still[order[n]] == s:
+                n += 1
+            if s < 0 or n - begin >= _LEAST_ROWS or n == start[t + 1]:
+                continue
+            before, after = order[begin - 1], order[n]
+            if (x_px[before] < rest_px[s, row[before]]) == (x_px[after] > rest_px[s, row[after]]):
+                still[order[begin:n]] = -1
     return still
 
 

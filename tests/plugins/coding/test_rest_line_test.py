@@ -78,6 +78,21 @@ def test_a_few_peaks_by_themselves_keep_their_line() -> None:
     assert (found == 0).all()
 
 
+@pytest.mark.parametrize("slope_px", [1.2, -0.6])
+def test_a_body_that_goes_through_the_line_is_no_belt(slope_px: float) -> None:
+    """Its edge meets the neighbour's belt line and goes on to the other side, then belt begins."""
+    rest_px = np.full((1, ROWS), 100.0)
+    row, off_px = np.arange(ROWS), np.zeros(ROWS)
+    off_px[BODY] = slope_px * (row[BODY] - BODY.stop + 4)
+    alone = np.where(np.abs(off_px) <= TOLERANCE_PX, 0, -1)
+    found = on_rest_line(
+        row, 100.0 + off_px, np.zeros(ROWS, np.int64), alone, rest_px, TOLERANCE_PX, 0.0, OUTER
+    )
+    assert (alone[BODY] == 0).any()
+    assert (found[BODY] == -1).all()
+    assert (np.delete(found, np.r_[BODY]) == 0).all()
+
+
 @pytest.mark.parametrize(
     ("rows", "between", "kept"), [(40, 0, True), (39, 0, False), (40, 3, True), (40, 4, False)]
 )

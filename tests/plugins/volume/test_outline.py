@@ -266,3 +266,15 @@ def test_the_cheapest_closed_path_is_found(rng: np.random.Generator) -> None:
 
 def price(cost: np.ndarray, path: np.ndarray) -> float:
     return float(cost[np.arange(6), path].sum() + 0.3 * ((path - np.roll(path, 1)) ** 2).sum())
+
+
+@pytest.mark.parametrize(("shown_rows", "told"), [(200, False), (60, True)])
+def test_what_is_most_of_the_image_is_no_body_that_goes_on_beyond_its_stripes(
+    shown_rows: int, told: bool
+) -> None:
+    """A product as bright as the belt: the bright part, both together, says nothing of its size."""
+    level = np.zeros((240, 240), np.float32)
+    level[:shown_rows] = 1.0
+    region = np.zeros(level.shape, np.bool_)
+    region[20:50, 20:60] = True
+    assert bool(edge_contour._shown_larger(level, {1: region}, 20.0)) == told
