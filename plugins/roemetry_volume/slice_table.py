@@ -321,7 +321,7 @@ def _area(
         top, low = max(top, on[m, _Z]), min(low, on[m, _Z])
     out[TOP], out[LOW] = top, low
     first, last = _outermost_seen(on)
-    belt_row = on[0, _ROW], on[count - 1, _ROW]
+    belt = on[0].copy(), on[count - 1].copy()
     unseen = first == count
     if not unseen:
         on = on[first : last + 1]
@@ -367,8 +367,8 @@ def _area(
     for end in range(2):
         if bridged[end]:
             edge = on[0 if end == 0 else count - 1]
-            # rows, not Y: down a wall Y runs along the line of sight, and beyond the body
-            tail, reach = _tail(on, end, 0.5 * per_row * abs(belt_row[end] - edge[_ROW]))
+            half = 0.5 * per_row * abs(belt[end][_ROW] - edge[_ROW])
+            tail, reach = _tail(on, end, abs(belt[end][_Y] - edge[_Y]), half)
             if edge[_Z] > 0.0:
                 tail *= _weighed(edge[_Y], edge[_Z], fan) / edge[_Z]
             width += reach
@@ -381,12 +381,14 @@ def _area(
 
 
 @float_kernel
-def _tail(on: Floats, end: int, most: float) -> tuple[float, float]:
+def _tail(on: Floats, end: int, most: float, half: float) -> tuple[float, float]:
     """Give area and width between a slice's outermost seen point and the belt that is seen beyond it.
 
     A dome's y is a parabola of z near its rim, z = rim + √(α·d): fitted to the outermost points, it is
-    followed down to where it turns, which is the rim, or to the belt, but at `most` half of the way (mm) to
-    where belt was seen: the edge lies anywhere up to there. So far reaches what does not fall.
+    followed down to where it turns, which is the rim, or to the belt. Where it does not get there before the
+    belt that is seen, `most` mm away, or does not fall, it ends in a wall, anywhere up to there: `half` of
+    the way counts, mm. That is counted in rows: along Y the belt at a wall's foot lies farther away, since
+    the line of sight leans over it.
     """
     count = on.shape[0]
     first, step = (0, 1) if end == 0 else (count - 1, -1)
@@ -404,7 +406,7 @@ def _tail(on: Floats, end: int, most: float) -> tuple[float, float]:
         dh += d * h
         dhh += d * h * h
     determinant = hh * hhhh - hhh * hhh
-    level = (most - 0.5 * row) * z0, max(most - 0.5 * row, 0.0)
+    level = (half - 0.5 * row) * z0, max(half - 0.5 * row, 0.0)
     if used < _TAIL_POINTS or not determinant > 1e-9 * hh * hhhh:
         return level
     b, c = (dh * hhhh - dhh * hhh) / determinant, (dhh * hh - dh * hhh) / determinant
@@ -416,8 +418,7 @@ def _tail(on: Floats, end: int, most: float) -> tuple[float, float]:
     if c < 0.0:
         stop = max(stop, -0.5 * b / c)
     if (b + c * stop) * stop > most:
-        inside = b * b + 4.0 * c * most
-        stop = 2.0 * most / (b - np.sqrt(max(inside, 0.0)))
+        return level
     beyond = stop * (b * (z0 + 0.5 * stop) + c * stop * (z0 + 2.0 / 3.0 * stop))
     return beyond - 0.5 * row * z0, max((b + c * stop) * stop - 0.5 * row, 0.0)
 
