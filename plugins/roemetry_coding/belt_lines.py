@@ -137,9 +137,11 @@ class BeltLines(Aligner[BeltLinesOptions]):
         search_px = min(_SEARCH_PX, _SEARCH_SPACING * model.spacing_px)
         tear = tear_of(peaks.row_start, peaks.x_px, model.lines, model.spacing_px)
         if tear is not None:
+            which = "on the belt are shifted" if tear.of_belt else "on the product jump at once"
+            where = "at about row" if tear.of_belt else f"between the rows {tear.row} and"
             raise StageError(
-                f"all stripes on the product jump at once, by {tear.jump_px:.1f} px, between the rows "
-                f"{tear.row} and {tear.row + 1}: rows were lost there, or what is below is another frame's",
+                f"all stripes {which}, by {tear.jump_px:.{1 + tear.of_belt}f} px, {where} {tear.row + 1}: "
+                "rows were lost there, or what is below is another frame's",
                 hint="look at the image; take it again, and look at cable and frame grabber",
             )
         every = max(1, calibration.image_size[0] // _ROWS_USED)
@@ -476,14 +478,21 @@ _TIMES_USUAL = 8.0
 """So many times the jumps of the frame's other rows, which noise and texture make. Of 56 whole images of two
 makers the largest jump is five times the mean."""
 _SAMPLED_ROWS = 8
-"""Every so many rows tell how much stripes usually jump."""
+"""Every so many rows tell how much stripes usually jump; blocks of so many tell the belt's shift."""
+_BELT_PX = 1.0
+"""Peaks so near to a rest line tell where the belt lies."""
+_SHIFT_BLOCKS, _SHIFT_STRIPES, _SHIFT_FULL = 5, 3, 0.85
+"""Blocks above and below a row that are compared, on stripes that lie on the belt in such a part of both."""
+_SHIFT_MIN_PX = 0.08
+"""Lines lean by a hundredth: seven rows lost. Without a fault, textures shift it by up to 0.04 px."""
 
 
 class Tear(NamedTuple):
-    """A frame's tear: the row after which it lies, and the median jump there, px."""
+    """A frame's tear: the row after which it lies, and the median jump there, px; or the belt's shift."""
 
     row: int
     jump_px: float
+    of_belt: bool = False
 
 
 def tear_of(row_start: Integers, x_px: Floats, lines_px: Floats, spacing_px: float) -> Tear | None:
@@ -500,19 +509,26 @@ def tear_of(row_start: Integers, x_px: Floats, lines_px: Floats, spacing_px: flo
     """
     rounded = all(float(x).is_integer() for x in x_px[:8]) and bool((x_px == np.rint(x_px)).all())
     least_px = _ROUNDED_JUMP_MIN_PX if rounded else _JUMP_MIN_PX
-    row, jump_px, usual_px = _largest_jump(
-        row_start, x_px, lines_px, _REACH_SHARE * spacing_px, _OFF_BELT_PX, _STEP_MAX_PX, _STRIPES_MIN,
-        _SAMPLED_ROWS, _TIMES_USUAL, least_px,
+    row, jump_px, usual_px, shift_row, shift_px, usual_shift_px = _largest_jump(
+        row_start, x_px, lines_px, _REACH_SHARE * spacing_px, _OFF_BELT_PX, _BELT_PX, _STEP_MAX_PX,
+        _STRIPES_MIN, _SAMPLED_ROWS, _TIMES_USUAL, least_px,
     )  # fmt: skip
-    return Tear(row, jump_px) if row >= 0 and jump_px >= max(least_px, _TIMES_USUAL * usual_px) else None
+    if row >= 0 and jump_px >= max(least_px, _TIMES_USUAL * usual_px):
+        return Tear(row, jump_px)
+    if shift_row >= 0 and not rounded and shift_px >= max(_SHIFT_MIN_PX, _TIMES_USUAL * usual_shift_px):
+        return Tear(shift_row, shift_px, of_belt=True)
+    return None
 
 
 @float_kernel
 def _largest_jump(
     row_start: Integers, x_px: Floats, lines_px: Floats, reach_px: float, off_belt_px: float,
-    step_max_px: float, stripes_min: int, sampled: int, times_usual: float, least_px: float,
-) -> tuple[int, float, float]:  # fmt: skip
-    """Give the row, the median jump and the usual jump where product or belt jump most; row −1 of none."""
+    belt_px: float, step_max_px: float, stripes_min: int, sampled: int, times_usual: float, least_px: float,
+) -> tuple[int, float, float, int, float, float]:  # fmt: skip
+    """Give the row, the median jump and the usual jump where product or belt jump most; row −1 of none.
+
+    And the same of where the belt is shifted most (`_shift`).
+    """
     rows, stripes = lines_px.shape
     lines, none, wide, one = lines_px.reshape(-1), np.uint64(x_px.size), np.uint64(stripes), np.uint64(1)
     on_product = np.zeros(x_px.size + 1, np.bool_)  # places are unsigned: a signed one is asked for its sign
@@ -520,7 +536,10 @@ def _largest_jump(
     # the step to the next row, and what that is beside the rest line's
     after, before = np.full(x_px.size + 1, none, np.uint32), np.full(x_px.size + 1, none, np.uint32)
     step, slip = np.empty(x_px.size), np.empty(x_px.size)
+    blocks = rows // sampled
+    off_sum, near = np.zeros((blocks + 1, stripes)), np.zeros((blocks + 1, stripes))
     for row in range(rows - 1):
+        block = min(row // sampled + 1, blocks)
         line, last = np.uint64(row * stripes), np.uint64((row + 1) * stripes - 1)
         nearest, stop = np.uint64(row_start[row + 1]), np.uint64(row_start[row + 2])
         for p in range(np.uint64(row_start[row]), np.uint64(row_start[row + 1])):
@@ -532,6 +551,10 @@ def _largest_jump(
                     break
                 line, off = line + one, to_next
             on_product[p] = off > off_belt_px
+            if off <= belt_px:
+                stripe = line - np.uint64(row * stripes)
+                off_sum[block, stripe] += x - lines[line]
+                near[block, stripe] += 1.0
             if nearest == stop:
                 continue
             way = x_px[nearest] - x
@@ -585,4 +608,49 @@ def _largest_jump(
                     worst[kind], most[kind] = row, middle
     usual = total / np.maximum(counted, 1.0)
     kind = 0 if most[0] >= max(least_px, times_usual * usual[0]) else 1
-    return worst[kind], most[kind], usual[kind]
+    return worst[kind], most[kind], usual[kind], *_shift(off_sum, near, sampled)
+
+
+@float_kernel
+def _shift(off_sum: Floats, near: Floats, sampled: int) -> tuple[int, float, float]:
+    """Give the row at which the belt is shifted most, how far, and how far it usually is; row −1 of none.
+
+    Parameters
+    ----------
+    off_sum, near : ndarray, shape (block + 1, stripe)
+        By blocks of `sampled` rows, from the second on: sum of the distances of belt peaks from their line,
+        px, and their number. Both are summed up in place.
+    """
+    blocks, stripes = near.shape
+    shift, shifts, middle = np.zeros(blocks), np.empty(stripes), np.empty(blocks)
+    known, full = 0, _SHIFT_FULL * _SHIFT_BLOCKS * sampled
+    for k in range(1, blocks):
+        for s in range(stripes):
+            off_sum[k, s] += off_sum[k - 1, s]
+            near[k, s] += near[k - 1, s]
+    for k in range(_SHIFT_BLOCKS, blocks - _SHIFT_BLOCKS):
+        count = 0
+        for s in range(stripes):
+            above = near[k, s] - near[k - _SHIFT_BLOCKS, s]
+            below = near[k + _SHIFT_BLOCKS, s] - near[k, s]
+            if above > full and below > full:
+                shifts[count] = (off_sum[k + _SHIFT_BLOCKS, s] - off_sum[k, s]) / below
+                shifts[count] -= (off_sum[k, s] - off_sum[k - _SHIFT_BLOCKS, s]) / above
+                count += 1
+        shift[k] = median_of(shifts[:count]) if count >= _SHIFT_STRIPES else np.inf
+        if count >= _SHIFT_STRIPES:
+            middle[known] = shift[k]
+            known += 1
+    if known < 2 * _SHIFT_BLOCKS:
+        return -1, 0.0, 0.0
+    turned = median_of(middle[:known])  # of a camera that has turned: the same everywhere
+    usual = median_of(np.abs(middle[:known] - turned))
+    worst, most = -1, 0.0
+    for k in range(_SHIFT_BLOCKS, blocks - _SHIFT_BLOCKS):
+        here = abs(shift[k] - turned)
+        if here < np.inf and here > most:
+            worst, most = k, here
+    for k in (worst - _SHIFT_BLOCKS, worst + _SHIFT_BLOCKS):  # a bend in the lines goes on
+        if _SHIFT_BLOCKS <= k < blocks - _SHIFT_BLOCKS and np.inf > abs(shift[k] - turned) > 0.5 * most:
+            return -1, 0.0, usual
+    return worst * sampled - 1, most, usual
