@@ -16,6 +16,7 @@ from pydantic import Field
 from roemetry.errors import DataError
 from roemetry.io.files import printable
 from roemetry.io.remote import Url
+from roemetry.io.tiff import as_stored
 from roemetry.records import Acquisition, AcquisitionReference, Frame, Role
 from roemetry.stages import Source, StageOptions
 
@@ -158,24 +159,6 @@ def _jpeg(data: bytes, shown: str) -> NDArray[Any]:
     return np.asarray(pixels[:, :, 0] if grey else pixels)
 
 
-_ORIENTATION = 274  # TIFF's tag
-
-
-def _unturned(data: bytes) -> bytes:
-    """Give a TIFF file whose orientation tag says "as it is": OpenCV turns TIFF, and only TIFF, by it."""
-    order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4])
-    if order is None or len(data) < 8:
-        return data
-    (directory,) = struct.unpack_from(f"{order}I", data, 4)
-    if directory + 2 > len(data):
-        return data
-    (count,) = struct.unpack_from(f"{order}H", data, directory)
-    for at in range(directory + 2, min(directory + 2 + 12 * count, len(data) - 11), 12):
-        if struct.unpack_from(f"{order}H", data, at) == (_ORIENTATION,):
-            return data[: at + 8] + struct.pack(f"{order}H", 1) + data[at + 10 :]
-    return data
-
-
 def _by_opencv(data: bytes, shown: str) -> NDArray[Any]:
     import cv2
 
@@ -184,7 +167,7 @@ def _by_opencv(data: bytes, shown: str) -> NDArray[Any]:
             raise DataError(f"{shown}: the file is cut off", hint="copy it again")
         columns, rows = struct.unpack(">II", data[16:24])
         _check_size(rows, columns, shown)
-    data = _unturned(data)
+    data = as_stored(data)
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # we say what is wrong, with the file
     try:
         pixels: NDArray[Any] | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)

@@ -49,7 +49,7 @@ class CsvTable(Sink[CsvTableOptions]):
         features = features_of(run) if self.options.features else []
         with whole_file(path) as file, io.TextIOWrapper(file, "utf-8", newline="") as text:
             writer = csv.writer(text, lineterminator="\n")
-            writer.writerow([*COLUMNS, *features])
+            writer.writerow(map(_cell, [*COLUMNS, *features]))
             for measurement in run.measurements():
                 given = given_features(measurement)
                 cells = [column(measurement) for column in COLUMNS.values()]

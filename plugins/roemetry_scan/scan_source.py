@@ -28,6 +28,7 @@ from pydantic import Field, field_validator
 
 from roemetry.errors import DataError
 from roemetry.io.files import is_file
+from roemetry.io.tiff import as_stored
 from roemetry.records import Acquisition, AcquisitionReference, Frame, ScanLines
 from roemetry.stages import Capabilities, Source, StageOptions
 
@@ -161,7 +162,7 @@ def _decoded(path: Path) -> Any:
     import cv2
 
     try:
-        data = np.fromfile(path, np.uint8)
+        data = np.frombuffer(as_stored(path.read_bytes()), np.uint8)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from error
     # OpenCV decodes a PNG as far as it goes, and fills up with black

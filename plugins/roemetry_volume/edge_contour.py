@@ -42,6 +42,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from roemetry.errors import StageError
+from roemetry.io.tiff import as_stored
 from roemetry.records import Frame, Outline, Reason, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
@@ -350,7 +351,8 @@ def _belt_of(path: Path | None, like: Frame) -> NDArray[Any] | None:
 def _read(path: Path) -> NDArray[Any]:
     import cv2
 
-    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    data = np.frombuffer(as_stored(path.read_bytes()), np.uint8) if path.is_file() else np.empty(0, np.uint8)
+    pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     if pixels is None:
         raise StageError(f"{path}: the empty belt's image cannot be read")
     pixels = pixels[..., :3] if pixels.ndim == 3 else pixels

@@ -9,9 +9,12 @@ from __future__ import annotations
 import importlib
 import io
 import os
+import signal
 import sys
-from collections.abc import Callable
-from functools import cache
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache, partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -103,13 +106,43 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        app()
+        with _told_when_stopped():
+            app()
     except RoemetryError as error:
         if "--debug" in sys.argv:
             raise
         said = "".join(c if c == "\n" or c.isprintable() else repr(c)[1:-1] for c in str(error))
         sys.stderr.write(f"roemetry: {said}\n")
         sys.exit(error.exit_code)
+
+
+@contextmanager
+def _told_when_stopped() -> Iterator[None]:
+    """Say so where the system ends a command that has no way of its own to stop, or has not begun yet."""
+    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    # nohup ignores SIGHUP: so shall we; signals can be handled in the main thread only
+    wanted = [
+        signal.Signals[name] for name in names if signal.getsignal(signal.Signals[name]) == signal.SIG_DFL
+    ]
+    if threading.current_thread() is not threading.main_thread():
+        wanted = []
+    for number in wanted:
+        signal.signal(number, partial(_stopped, os.getpid()))
+    try:
+        yield
+    finally:
+        for number in wanted:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _stopped(started: int, number: int, _: object) -> None:
+    """End at once: an exception might surface in an import, which would be blamed on a plugin."""
+    if os.getpid() == started:  # not a forked worker, which is told to stop by its own process
+        name = signal.Signals(number).name
+        os.write(
+            2, f"roemetry: stopped by {name} before anything was kept; give the command again\n".encode()
+        )
+    os._exit(130)
 
 
 def _show_version(wanted: bool) -> None:

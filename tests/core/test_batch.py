@@ -241,6 +241,25 @@ def test_killed_at_any_moment_all_but_the_last_line_is_whole(line: Line, tmp_pat
     assert [row.acquisition for row in read_record(out)] == [f"p{n:02d}" for n in range(1, 61)]
 
 
+def test_asked_to_end_before_it_measures_a_run_says_so(tmp_path: Path) -> None:
+    # a recipe that is a pipe: the start goes on once it is read, and is at work then
+    recipe, out = tmp_path / "recipe.yaml", tmp_path / "out"
+    os.mkfifo(recipe)
+    command = [sys.executable, "-m", "roemetry", "run", str(recipe), "--out", str(out)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 60
+        caught = 0
+        while not caught & 1 << (signal.SIGTERM - 1) and time.monotonic() < deadline:
+            status = Path(f"/proc/{process.pid}/status").read_text("utf-8")
+            caught = int(status.split("SigCgt:")[1].split()[0], 16)
+            time.sleep(0.002)
+        process.send_signal(signal.SIGTERM)
+        said = process.communicate(timeout=60)
+    assert process.returncode == 130, said
+    assert said == ("", "roemetry: stopped by SIGTERM before anything was kept; give the command again\n")
+    assert not out.exists()
+
+
 def test_asked_to_end_a_run_says_what_is_kept(line: Line, tmp_path: Path) -> None:
     out = tmp_path / "out"
     recipe = line(120)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.errors import DataError
+from roemetry.io.tiff import as_stored
 
 
 def decoded(path: Path) -> NDArray[Any]:
@@ -16,7 +17,7 @@ def decoded(path: Path) -> NDArray[Any]:
     import cv2
 
     try:
-        data = np.frombuffer(path.read_bytes(), np.uint8)
+        data = np.frombuffer(as_stored(path.read_bytes()), np.uint8)
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
     flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION

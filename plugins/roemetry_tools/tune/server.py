@@ -82,7 +82,9 @@ def app_of(session: Session, token: str = "") -> Starlette:
         return JSONResponse(saved, headers=_HEADERS)
 
     def refused(_: Request, error: Exception) -> Response:
-        return JSONResponse({"said": str(error)}, 400, headers=_HEADERS)
+        return JSONResponse(
+            {"said": str(error)}, 403 if isinstance(error, _ForeignPageError) else 400, headers=_HEADERS
+        )
 
     routes = [
         Route("/", page),
@@ -134,6 +136,10 @@ def serve(session: Session, port: int, on_ready: Callable[[str], None]) -> None:
         uvicorn.Server(config).run(sockets=[listening])
 
 
+class _ForeignPageError(RoemetryError):
+    """A page of another site asks."""
+
+
 async def _read(request: Request, model: type[Any]) -> Any:
     """Read a request's body.
 
@@ -142,7 +148,7 @@ async def _read(request: Request, model: type[Any]) -> Any:
     """
     origin = request.headers.get("origin")
     if origin is not None and origin != f"http://{request.headers.get('host', '')}":
-        raise RoemetryError("asked by a page that is not this server's")
+        raise _ForeignPageError("asked by a page that is not this server's")
     kind = request.headers.get("content-type", "").partition(";")[0].strip()
     if kind != "application/json":
         raise RoemetryError("expected content of the type application/json")

@@ -15,6 +15,8 @@ from roemetry.errors import DataError
 from roemetry.records import Acquisition, Frame
 from roemetry.run.preprocess import prepare
 from roemetry_files.image_files import ImageFiles, read_image
+from roemetry_line.feeds.image import decoded
+from roemetry_volume.edge_contour import _read as belt_image
 
 
 @pytest.fixture
@@ -50,7 +52,8 @@ def test_a_tiff_file_is_not_turned_as_viewers_would(
     )
     path = tmp_path / "turned.tif"
     path.write_bytes(turned)
-    np.testing.assert_array_equal(read_image(path).pixels, pixels)
+    for read in (lambda path: read_image(path).pixels, belt_image, decoded):
+        np.testing.assert_array_equal(read(path), pixels)
 
 
 DAMAGE = {
