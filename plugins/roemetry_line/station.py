@@ -139,7 +139,7 @@ class StationProcess:
         recipe = self._whole_recipe()
         if recipe is None:
             return
-        warm_up(recipe)
+        warm_up(recipe.stages)
         self._beat(now=True)
         for left in runs.runs_of(self._home, self._name):
             if runs.unfinished(left):
@@ -422,7 +422,7 @@ class StationProcess:
                 if changed.sha256 == current.sha256:
                     self._ended("recipe", "the recipe is whole again")
                     continue
-                warm_up(changed)
+                warm_up(changed.stages)
                 _load_kernels(changed)
             except FAULTS as error:
                 self._alarm("recipe", f"the changed recipe is not taken, the old one measures on: {error}")

@@ -68,7 +68,8 @@ def doctor(
     if warm is not None:
         begin = time.perf_counter()
         stages = warm_up(
-            Recipe.load(warm), lambda done, of: typer.echo(f"compiled {done} of {of} kernels", err=True)
+            Recipe.load(warm).stages,
+            lambda done, of: typer.echo(f"compiled {done} of {of} kernels", err=True),
         )
         typer.echo(
             f"kernels of {', '.join(stages)}: ready in {time.perf_counter() - begin:.0f} s"

@@ -174,7 +174,8 @@ def simulate(
     The same scene, seed and count give the same bytes with any number of jobs. An item counts once its line
     is in items.jsonl, so an interrupted set contains no half items.
     """
-    from roemetry.cli.progress import progress
+    from roemetry.cli.progress import COMPILING, progress
+    from roemetry.cli.warm_up import warm_up
     from roemetry.config.scene import Scene
     from roemetry.run.simulate import simulate as simulate_scene
 
@@ -182,6 +183,8 @@ def simulate(
     if product is not None:
         changes.append(f"simulator.options.product={{family: {product}}}")
     loaded = Scene.load(scene if cluster is None else scene.absolute(), sets=changes)
+    with progress(COMPILING, quiet=False) as on_progress:
+        warm_up({"simulator": loaded.simulator}, on_progress)
     with progress("simulating", quiet=False) as on_progress:
         made = simulate_scene(
             loaded,

@@ -75,7 +75,7 @@ def run(
     Exit code: 0 all measured; 1 some products failed (their rows say why); 2 the recipe, the calibration or
     the command line is wrong.
     """
-    from roemetry.cli.progress import progress
+    from roemetry.cli.progress import COMPILING, progress
     from roemetry.cli.warm_up import warm_up
     from roemetry.config.overrides import Implied
     from roemetry.config.recipe import Recipe
@@ -94,8 +94,8 @@ def run(
         loaded = Recipe.load(recipe if cluster is None else recipe.absolute(), sets=changes)
         folder = out or next_folder(loaded.path)
         try:
-            with progress("compiling kernels, first run only", quiet=as_json) as on_progress:
-                warm_up(loaded, on_progress)
+            with progress(COMPILING, quiet=as_json) as on_progress:
+                warm_up(loaded.stages, on_progress)
             with _stopped_by_signals() as stop_if_asked, progress("measuring", quiet=as_json) as show:
 
                 def on_progress(done: int, of: int) -> None:

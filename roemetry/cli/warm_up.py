@@ -1,4 +1,4 @@
-"""Compile the kernels of a recipe's stages before its first run, several stages at once.
+"""Compile the kernels of stages before their first run, several stages at once.
 
 A stage compiles its kernels when it is first called, and waits for the stage before it; one after the other
 they take over a minute of one processor. The ordinary calls of the conformance kit need no other stage, so
@@ -9,25 +9,27 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
 from multiprocessing import get_context
 from types import ModuleType
 from typing import Any
 
-from roemetry.config.recipe import Recipe
+from roemetry.config.resolve import ResolvedStage
 from roemetry.errors import FAULTS
 from roemetry.stages import Stage, VolumeEstimator
 
 
-def warm_up(recipe: Recipe, on_progress: Callable[[int, int], None] = lambda done, of: None) -> list[str]:
+def warm_up(
+    stages: Mapping[str, ResolvedStage], on_progress: Callable[[int, int], None] = lambda done, of: None
+) -> list[str]:
     """Compile the kernels of every stage that has none on disk yet.
 
     Parameters
     ----------
-    recipe
-        Whose stages, with its options.
+    stages
+        The stages of a recipe, or a scene's simulator, by kind.
     on_progress
         Called with (kernels done, of how many), stage by stage; never where nothing is to be done. Kernels
         take about as long as one another, stages do not.
@@ -38,7 +40,7 @@ def warm_up(recipe: Recipe, on_progress: Callable[[int, int], None] = lambda don
         The kinds of the stages that were called. A stage that cannot be called by the conformance kit's
         example is left to the run.
     """
-    kernels = {kind: list(_kernels_of(chosen.make())) for kind, chosen in recipe.stages.items()}
+    kernels = {kind: list(_kernels_of(chosen.make())) for kind, chosen in stages.items()}
     cold = [
         kind for kind, found in kernels.items() if found and not any(kernel.is_on_disk() for kernel in found)
     ]
@@ -47,17 +49,18 @@ def warm_up(recipe: Recipe, on_progress: Callable[[int, int], None] = lambda don
     cold.sort(key=lambda kind: -len(kernels[kind]))  # the longest first: nothing waits for it at the end
     cost = {kind: len(kernels[kind]) for kind in cold}
     done, total = 0, sum(cost.values())
-    on_progress(done, total)
+    if len(cold) > 1:  # of a single stage nothing is known until it is done
+        on_progress(done, total)
     processes = min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1, len(cold))
     if processes == 1:
         for kind in cold:
-            _call(recipe.stages[kind].make())
+            _call(stages[kind].make())
             done += cost[kind]
             on_progress(done, total)
         return cold
     # Spawned, not forked: a forked copy of numba's or OpenCV's threads can hang.
     with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
-        calls = {pool.submit(_call, recipe.stages[kind].make()): cost[kind] for kind in cold}
+        calls = {pool.submit(_call, stages[kind].make()): cost[kind] for kind in cold}
         for call in as_completed(calls):
             done += calls[call]
             on_progress(done, total)

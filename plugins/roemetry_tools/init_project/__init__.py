@@ -15,11 +15,16 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from roemetry.cli.progress import COMPILING
+from roemetry.cli.warm_up import warm_up
 from roemetry.errors import ConfigurationError, OutputError
 from roemetry.io.files import make_folder, write_whole
 from roemetry_tools.init_project.layout import Answers, Layout, lay_out
+
+if TYPE_CHECKING:
+    from roemetry.config.scene import Scene
 
 _SEED = 1  # any: the same folder each time
 _DATA = "data"
@@ -75,8 +80,9 @@ def start_like(
     )
     with _all_or_nothing(folder):
         written = _write(folder, texts)
+        scene = _compiled(folder, step)
         with step("simulating products") as shown:
-            _simulate(folder, items, "none", jobs, shown)
+            _simulate(scene, folder, items, "none", jobs, shown)
     return Started(folder, written, items, None)
 
 
@@ -98,6 +104,7 @@ def start_own(
     _check_empty(folder)
     with _all_or_nothing(folder):
         written = _write(folder, texts_of(answers, layout, items))
+        scene = _compiled(folder, step)
         with ExitStack() as bar:
             shown = bar.enter_context(step("simulating products" if items else _BOARDS))
 
@@ -109,7 +116,7 @@ def start_own(
                     shown = bar.enter_context(step(_BOARDS))
                 shown(*((done, items) if done < items else (done - items, of - items)))
 
-            _simulate(folder, items, "charuco", jobs, on_progress)
+            _simulate(scene, folder, items, "charuco", jobs, on_progress)
         with step("calibrating"):
             written = (*written, _calibrate(folder))
     return Started(folder, written, items, layout)
@@ -177,13 +184,22 @@ def _write(folder: Path, texts: Mapping[str, str]) -> tuple[Path, ...]:
 
 
 def _simulate(
-    folder: Path, items: int, views: Any, jobs: int, on_progress: Callable[[int, int], None]
+    scene: Scene, folder: Path, items: int, views: Any, jobs: int, on_progress: Callable[[int, int], None]
 ) -> None:
-    from roemetry.config.scene import Scene
     from roemetry.run.simulate import simulate
 
     given: dict[str, Any] = {"count": items, "seed": _SEED, "jobs": jobs, "calibration": views}
-    simulate(Scene.load(folder), folder / _DATA, **given, on_progress=on_progress)
+    simulate(scene, folder / _DATA, **given, on_progress=on_progress)
+
+
+def _compiled(folder: Path, step: Step) -> Scene:
+    """Load the scene of a folder, and compile what its simulator needs under a bar of its own."""
+    from roemetry.config.scene import Scene
+
+    scene = Scene.load(folder)
+    with step(COMPILING) as shown:
+        warm_up({"simulator": scene.simulator}, shown)
+    return scene
 
 
 def _calibrate(folder: Path) -> Path:
