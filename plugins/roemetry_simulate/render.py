@@ -119,7 +119,10 @@ def _fan_light(
         _light(rig, solid, surface, 1, image, step=_DRAFT_STEP)
         image = _between(image)
         grey = image @ np.array([1.0, rig.ambient_grey, rig.stray_grey])
-        _light(rig, solid, surface, _DRAFT_SAMPLES, image, _uneven(grey, _DRAFT_STEP))
+        from scipy.ndimage import maximum_filter
+
+        uneven = maximum_filter(_uneven(grey, _DRAFT_STEP), 3)  # what is between rays has no bend
+        _light(rig, solid, surface, _DRAFT_SAMPLES, image, uneven)
     else:
         _light(rig, solid, surface, samples, image)
     return image[..., 0], rig.ambient_grey * image[..., 1] + rig.stray_grey * image[..., 2]
@@ -155,11 +158,13 @@ def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4, *, d
     image = np.zeros((camera.height_px, camera.width_px))
     if draft:
         _under_lamps(rig, solid, surface, 1, image, square=4)
-        from scipy.ndimage import convolve1d
+        from scipy.ndimage import binary_closing, convolve1d
 
         for axis in (0, 1):  # takes out what alternates over four pixels, and keeps what is even
             image = convolve1d(image, [0.125, 0.25, 0.25, 0.25, 0.125], axis, mode="mirror")
-        _under_lamps(rig, solid, surface, _DRAFT_SAMPLES, image, _uneven(rig.plain_grey * image, 1))
+        # an edge's middle has no bend
+        uneven = binary_closing(_uneven(rig.plain_grey * image, 1), np.ones((3, 3)))
+        _under_lamps(rig, solid, surface, _DRAFT_SAMPLES, image, uneven)
     else:
         _under_lamps(rig, solid, surface, samples, image)
     if rig.stray_mm is None:
@@ -224,10 +229,9 @@ def _uneven(grey: Floats, step: int) -> Flags:
     Where rays are `step` px apart and the rest lies straight between them, bends stand at the rays, `step`
     times as large.
     """
-    from scipy.ndimage import laplace, maximum_filter
+    from scipy.ndimage import laplace
 
-    bent = np.abs(laplace(grey, mode="nearest")) > _BEND_GREY / step
-    return np.asarray(maximum_filter(bent, 3))  # an edge's middle, and what is between rays, has no bend
+    return np.asarray(np.abs(laplace(grey, mode="nearest")) > _BEND_GREY / step)
 
 
 def render(

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from datetime import timedelta
 
 COMPILING = "compiling kernels, first run only"
+"""What the bar of `warm_up` says."""
 
 
 @contextmanager

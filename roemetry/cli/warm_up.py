@@ -29,7 +29,7 @@ def warm_up(
     Parameters
     ----------
     stages
-        By kind, as a recipe or a scene has chosen them.
+        The stages of a recipe, or a scene's simulator, by kind.
     on_progress
         Called with (kernels done, of how many), stage by stage; never where nothing is to be done. Kernels
         take about as long as one another, stages do not.
@@ -49,7 +49,8 @@ def warm_up(
     cold.sort(key=lambda kind: -len(kernels[kind]))  # the longest first: nothing waits for it at the end
     cost = {kind: len(kernels[kind]) for kind in cold}
     done, total = 0, sum(cost.values())
-    on_progress(done, total)
+    if len(cold) > 1:  # of a single stage nothing is known until it is done
+        on_progress(done, total)
     processes = min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1, len(cold))
     if processes == 1:
         for kind in cold:

@@ -14,7 +14,7 @@ import numpy as np
 from roemetry.errors import DataError
 from roemetry.io.files import first_fault, json_values
 from roemetry.records.arrays import Number
-from roemetry.records.display import Shown, estimate, table
+from roemetry.records.display import Shown, estimate, picture_of_surface, table
 from roemetry.records.outcome import Decision, Estimate, Grade, Volume, Weight
 from roemetry.records.reasons import Reason
 
@@ -80,6 +80,8 @@ class Measurement(Shown):
     provenance: Mapping[str, str] = field(default_factory=dict)
     """Hashes of recipe, calibration and image, and version of every plugin that had a part."""
     decision: Decision | None = None
+    seen_xyz_mm: Any = field(default=None, repr=False)
+    """Points that were seen, mm, (stripe, row, 3), from `Recipe.measure` alone: what a notebook draws."""
 
     @property
     def all_reasons(self) -> tuple[Reason, ...]:
@@ -104,7 +106,8 @@ class Measurement(Shown):
             rows.append(("decision", self.decision.label))
         rows += [(f"no {kind}", reason.text) for kind, reason in self.absent.items()]
         rows += [(reason.code, reason.text) for reason in self.all_reasons]
-        return table(self.id, rows)
+        picture = "" if self.seen_xyz_mm is None else picture_of_surface(self.seen_xyz_mm)
+        return table(self.id, rows, picture)
 
     def to_json(self) -> str:
         """One line of JSON; NaN is written as null."""

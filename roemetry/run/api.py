@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -94,7 +94,13 @@ class Recipe(CheckedRecipe):
             An array is not an image.
         """
         trace = self.trace(laser, plain=plain, dark=dark, before=before, name=name, surfaces=False)
-        return measurements_of(trace, self, self.hashes, self._doubts)
+        rows = measurements_of(trace, self, self.hashes, self._doubts)
+        if len(rows) != len(trace.products):
+            return rows
+        return tuple(
+            replace(row, seen_xyz_mm=one.product.profiles.xyz_mm)
+            for row, one in zip(rows, trace.products, strict=True)
+        )
 
     def trace(
         self,

@@ -52,6 +52,8 @@ def test_a_notebook_sees_picture_and_numbers(recipe: Recipe, image: np.ndarray) 
     assert "visible volume" in shown
     row = recipe.measure(image)[0]
     assert f"{row.volume.visible_mm3.value / 1000:.5g}" in row._repr_html_()
+    assert row._repr_html_().count("<path") > 50, "its surface is drawn"
+    assert "seen_xyz_mm" not in row.to_json()
     assert "dominant-peak" in recipe._repr_html_()
 
 

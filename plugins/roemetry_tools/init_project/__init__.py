@@ -15,14 +15,16 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from roemetry.cli.progress import COMPILING
 from roemetry.cli.warm_up import warm_up
-from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, OutputError
 from roemetry.io.files import make_folder, write_whole
 from roemetry_tools.init_project.layout import Answers, Layout, lay_out
+
+if TYPE_CHECKING:
+    from roemetry.config.scene import Scene
 
 _SEED = 1  # any: the same folder each time
 _DATA = "data"
@@ -80,7 +82,7 @@ def start_like(
         written = _write(folder, texts)
         scene = _compiled(folder, step)
         with step("simulating products") as shown:
-            _simulate(scene, items, "none", jobs, shown)
+            _simulate(scene, folder, items, "none", jobs, shown)
     return Started(folder, written, items, None)
 
 
@@ -114,7 +116,7 @@ def start_own(
                     shown = bar.enter_context(step(_BOARDS))
                 shown(*((done, items) if done < items else (done - items, of - items)))
 
-            _simulate(scene, items, "charuco", jobs, on_progress)
+            _simulate(scene, folder, items, "charuco", jobs, on_progress)
         with step("calibrating"):
             written = (*written, _calibrate(folder))
     return Started(folder, written, items, layout)
@@ -181,21 +183,23 @@ def _write(folder: Path, texts: Mapping[str, str]) -> tuple[Path, ...]:
     return tuple(folder / name for name in texts)
 
 
-def _compiled(folder: Path, step: Step) -> Scene:
-    """Load the scene, and compile its simulator's kernels where that was never done."""
-    scene = Scene.load(folder)
-    with step(COMPILING) as shown:
-        warm_up({"simulator": scene.simulator}, shown)
-    return scene
-
-
 def _simulate(
-    scene: Scene, items: int, views: Any, jobs: int, on_progress: Callable[[int, int], None]
+    scene: Scene, folder: Path, items: int, views: Any, jobs: int, on_progress: Callable[[int, int], None]
 ) -> None:
     from roemetry.run.simulate import simulate
 
     given: dict[str, Any] = {"count": items, "seed": _SEED, "jobs": jobs, "calibration": views}
-    simulate(scene, scene.path.parent / _DATA, **given, on_progress=on_progress)
+    simulate(scene, folder / _DATA, **given, on_progress=on_progress)
+
+
+def _compiled(folder: Path, step: Step) -> Scene:
+    """Load the scene of a folder, and compile what its simulator needs under a bar of its own."""
+    from roemetry.config.scene import Scene
+
+    scene = Scene.load(folder)
+    with step(COMPILING) as shown:
+        warm_up({"simulator": scene.simulator}, shown)
+    return scene
 
 
 def _calibrate(folder: Path) -> Path:
