@@ -116,11 +116,11 @@ def _fan_light(
     """Light of one family of planes and of all else."""
     image = np.zeros((rig.camera.height_px, rig.camera.width_px, 3))
     if draft:
+        from scipy.ndimage import maximum_filter
+
         _light(rig, solid, surface, 1, image, step=_DRAFT_STEP)
         image = _between(image)
         grey = image @ np.array([1.0, rig.ambient_grey, rig.stray_grey])
-        from scipy.ndimage import maximum_filter
-
         uneven = maximum_filter(_uneven(grey, _DRAFT_STEP), 3)  # what is between rays has no bend
         _light(rig, solid, surface, _DRAFT_SAMPLES, image, uneven)
     else:
