@@ -40,6 +40,8 @@ _EDGE_POINTS = 0.5
 """Points by which each edge of a slice may lie otherwise, uniform."""
 _BEYOND_STEPS = 2.0
 """An outermost point beyond which more is missing would have been followed by the assembler."""
+_TO_RIM = 2.0 / 3.0
+"""Of the last point's height over the rim, on the mean from there to it: a parabola's."""
 _SURFACE_SLICES, _SURFACE_POINTS = 160, 64
 """Of a drawn surface, at most."""
 _COVERAGE_FACTOR = 1.959964
@@ -232,9 +234,9 @@ def _areas(xyz: Floats, mine: Flags, seen: Flags, label: Labels, rim: float) -> 
         each = steps / count if count > 0 else 0.0
         left = _beyond(xyz[i], mine[i], seen[i], label[i], first, 1, each, rim)
         right = _beyond(xyz[i], mine[i], seen[i], label[i], last, -1, each, rim)
-        area += left * xyz[i, first, 2] + right * xyz[i, last, 2]
+        area += left[0] * left[1] + right[0] * right[1]
         table[i, 0], table[i, 1], table[i, 5] = area, filled, bridged
-        table[i, 2] = abs(xyz[i, last, 1] - xyz[i, first, 1]) + left + right
+        table[i, 2] = abs(xyz[i, last, 1] - xyz[i, first, 1]) + left[0] + right[0]
         table[i, 3] = math.sqrt(xyz[i, first, 2] ** 2 + xyz[i, last, 2] ** 2)
         table[i, 4] = each
     return table
@@ -243,23 +245,30 @@ def _areas(xyz: Floats, mine: Flags, seen: Flags, label: Labels, rim: float) -> 
 @float_kernel
 def _beyond(
     xyz: Floats, mine: Flags, seen: Flags, label: Labels, edge: int, inwards: int, step: float, rim: float
-) -> float:
-    """Give how far a slice goes on beyond its outermost point, mm.
+) -> tuple[float, float]:
+    """Give how far a slice goes on beyond its outermost point, mm, and the mean height there, mm.
 
-    Half a step on the mean where belt is seen right beside it. Where it is not, rays that graze the flank
-    have lost a little more of it, and the flank tells how much.
+    Where belt is seen beyond, and the flank is a wall, half a step on the mean. A flank that bulges goes on as
+    the conic of its last points: a camera over the belt's middle looks past the rim of what it sees to the
+    side, and light that grazes loses the last of it.
     """
     beside = edge - inwards
-    if not seen[edge] or not 0 <= beside < label.size or label[beside] >= 0:
-        return 0.5 * step
+    half = 0.5 * step
+    if not seen[edge]:
+        return half, xyz[edge, 2]
+    most = _BEYOND_STEPS * step
+    if 0 <= beside < label.size and label[beside] == 0:
+        most = abs(xyz[beside, 1] - xyz[edge, 1])
     d, z = np.empty(POINTS), np.empty(POINTS)
     count, k = 0, edge
     while 0 <= k < seen.size and count < POINTS and mine[k] and seen[k]:
         d[count], z[count] = abs(xyz[k, 1] - xyz[edge, 1]), xyz[k, 2]
         count += 1
         k += inwards
-    length = conic(d, z, count, _BEYOND_STEPS * step, rim)[4]
-    return max(length, 0.5 * step)
+    r, _, _, _, length = conic(d, z, count, most, rim)
+    if length <= 0.0:
+        return half, xyz[edge, 2]
+    return length, r + _TO_RIM * (xyz[edge, 2] - r)
 
 
 def _drawn(profiles: Profiles, index: Integers, number: int) -> Surface:
