@@ -152,7 +152,8 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> Floats:
     Near a rim heights are r + √(α·d): of a last point that lies anywhere within a spacing of it and of the
     next one, z₀ − 1.4·(z₁ − z₀) is r on the mean, over many image rows within a hundredth of the height.
     Where light grazes, the point nearest to the rim is often too dim: such rows count as low ones of the
-    median.
+    median. Only the middle half of the rows counts: in those at the sides light and camera, which stand over
+    the belt's middle, pass the body above its rim.
     """
     slices, points = label.shape
     found, count = np.full((products + 1, 2 * points), np.nan), np.zeros(products + 1, np.int64)
@@ -178,7 +179,8 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> Floats:
     rims = np.full(products + 1, np.nan)
     for number in range(1, products + 1):
         if count[number] >= _RIM_ROWS_MIN:
-            rims[number] = max(np.median(found[number, : count[number]]), 0.0)
+            aside = count[number] // 4
+            rims[number] = max(np.median(found[number, aside : count[number] - aside]), 0.0)
     return rims
 
 
