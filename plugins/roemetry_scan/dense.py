@@ -128,8 +128,8 @@ def sections_of(profiles: Profiles, number: int) -> Sections:
     if not gap.min() > 0.0:
         raise StageError("two slices lie at one place")
     xyz, on = profiles.xyz_mm[index], mine[index]
-    rim = rims_of(profiles.xyz_mm, profiles.product, ~profiles.seen, int(profiles.product.max()))[number]
-    table = _areas(xyz, on, profiles.seen[index], profiles.product[index], rim)
+    rims, _ = rims_of(profiles.xyz_mm, profiles.product, ~profiles.seen, int(profiles.product.max()))
+    table = _areas(xyz, on, profiles.seen[index], profiles.product[index], rims[number])
     place = profiles.stripe[index]
     steps = np.maximum(np.abs(np.diff(place)), 1)
     held, own = np.zeros(index.size), np.zeros(index.size)
