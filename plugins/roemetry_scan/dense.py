@@ -248,7 +248,7 @@ def _beyond(
 ) -> tuple[float, float]:
     """Give how far a slice goes on beyond its outermost point, mm, and the mean height there, mm.
 
-    Where belt is seen beyond, and the flank is a wall, half a step on the mean. A flank that bulges goes on as
+    A wall or a slope ends half a step farther out on the mean. A flank that bulges goes on as
     the conic of its last points: a camera over the belt's middle looks past the rim of what it sees to the
     side, and light that grazes loses the last of it.
     """
@@ -265,8 +265,8 @@ def _beyond(
         d[count], z[count] = abs(xyz[k, 1] - xyz[edge, 1]), xyz[k, 2]
         count += 1
         k += inwards
-    r, _, _, _, length = conic(d, z, count, most, rim)
-    if length <= 0.0:
+    r, _, _, c, length = conic(d, z, count, most, rim)
+    if length <= 0.0 or c >= 0.0:
         return half, xyz[edge, 2]
     return length, r + _TO_RIM * (xyz[edge, 2] - r)
 
