@@ -29,7 +29,7 @@ _STATIONS, _ACROSS = 240, 240
 _TANGENT_POINTS = 6
 _RIM_SHARE = 0.1
 _BALL_SHARE = 0.33
-"""Of a ball's radius above its centre: below, plate and rim are seen."""
+"""As in `roemetry_scan.motion`."""
 _OFF_MAX_MM = 0.5
 """Centres that fit one another worse than this are not those of one plate."""
 
