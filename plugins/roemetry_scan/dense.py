@@ -31,7 +31,7 @@ from roemetry_scan.flanks import POINTS, conic, rims_of
 _UNIFORM = 1.0 / math.sqrt(12.0)
 _OVER_GAP = 0.1
 """Of what a straight line fills: a dome rises over it by some tenth."""
-_FLANK = 0.06
+FLANK_SHARE = 0.06
 """Of what was followed of the flanks. Chosen on foods (seeds 9500 and 9700), where 0.1 made intervals three
 times too wide; on seed 9900, used for nothing else, 19 of 20 intervals hold."""
 _EDGE_SHIFT = 0.3
@@ -40,7 +40,7 @@ _EDGE_POINTS = 0.5
 """Points by which each edge of a slice may lie otherwise, uniform."""
 _BEYOND_STEPS = 2.0
 """An outermost point beyond which more is missing would have been followed by the assembler."""
-_TO_RIM = 2.0 / 3.0
+TO_RIM = 2.0 / 3.0
 """Of the last point's height over the rim, on the mean from there to it: a parabola's."""
 _SURFACE_SLICES, _SURFACE_POINTS = 160, 64
 """Of a drawn surface, at most."""
@@ -158,7 +158,7 @@ def budget_of(found: Sections, profiles: Profiles) -> dict[str, float]:
     budget = {
         "between slices": uneven,
         "slice edges": math.hypot(float(np.sqrt(edge @ edge)), together),
-        "flanks": _FLANK * float(found.bridged_mm2 @ found.held_mm),
+        "flanks": FLANK_SHARE * float(found.bridged_mm2 @ found.held_mm),
         "gaps": _OVER_GAP * float(found.filled_mm2 @ found.held_mm)
         + _OVER_GAP * float(area @ (found.held_mm - found.own_mm)),
     }
@@ -268,7 +268,7 @@ def _beyond(
     r, _, _, c, length = conic(d, z, count, most, rim)
     if length <= 0.0 or c >= 0.0:
         return half, xyz[edge, 2]
-    return length, r + _TO_RIM * (xyz[edge, 2] - r)
+    return length, r + TO_RIM * (xyz[edge, 2] - r)
 
 
 def _drawn(profiles: Profiles, index: Integers, number: int) -> Surface:

@@ -50,9 +50,16 @@ def followed(xyz_mm: Floats, label: Labels, plane: Floats) -> tuple[Floats, Labe
     xyz_mm, label, plane
         As in `Profiles`: over the belt, with belt and products told apart.
     """
+    rims, by_row = rims_of(xyz_mm, label, np.zeros(label.shape, np.bool_), int(label.max(initial=0)))
+    return followed_to(xyz_mm, label, plane, rims, by_row)
+
+
+def followed_to(
+    xyz_mm: Floats, label: Labels, plane: Floats, rims: Floats, by_row: Floats
+) -> tuple[Floats, Labels, Flags]:
+    """Do what `followed` does, to rims as `rims_of` gives them."""
     points, number = np.array(xyz_mm), np.array(label)
     added = np.zeros(number.shape, np.bool_)
-    rims, by_row = rims_of(points, number, added, int(number.max(initial=0)))
     _along_belt(points, number, added, plane, by_row)
     _along_slices(points, number, added, plane, rims)
     _join(points, number, added, plane)
