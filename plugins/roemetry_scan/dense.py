@@ -38,8 +38,6 @@ _EDGE_SHIFT = 0.3
 """Points by which all edges may lie farther out together: rays miss the last of a flank (seed 7000)."""
 _EDGE_POINTS = 0.5
 """Points by which each edge of a slice may lie otherwise, uniform."""
-_BEYOND_STEPS = 2.0
-"""An outermost point beyond which more is missing would have been followed by the assembler."""
 TO_RIM = 2.0 / 3.0
 """Of the last point's height over the rim, on the mean from there to it: a parabola's."""
 _SURFACE_SLICES, _SURFACE_POINTS = 160, 64
@@ -252,23 +250,24 @@ def _beyond(
     the conic of its last points: a camera over the belt's middle looks past the rim of what it sees to the
     side, and light that grazes loses the last of it.
     """
-    beside = edge - inwards
     half = 0.5 * step
-    if not seen[edge]:
+    belt, last = edge - inwards, edge
+    while 0 <= belt < label.size and label[belt] < 0:
+        belt -= inwards
+    while 0 <= last < label.size and mine[last] and not seen[last]:
+        last += inwards
+    if not (0 <= belt < label.size and label[belt] == 0 and 0 <= last < label.size and mine[last]):
         return half, xyz[edge, 2]
-    most = _BEYOND_STEPS * step
-    if 0 <= beside < label.size and label[beside] == 0:
-        most = abs(xyz[beside, 1] - xyz[edge, 1])
     d, z = np.empty(POINTS), np.empty(POINTS)
-    count, k = 0, edge
+    count, k = 0, last
     while 0 <= k < seen.size and count < POINTS and mine[k] and seen[k]:
-        d[count], z[count] = abs(xyz[k, 1] - xyz[edge, 1]), xyz[k, 2]
+        d[count], z[count] = abs(xyz[k, 1] - xyz[last, 1]), xyz[k, 2]
         count += 1
         k += inwards
-    r, _, _, c, length = conic(d, z, count, most, rim)
+    r, _, _, c, length = conic(d, z, count, abs(xyz[belt, 1] - xyz[last, 1]), rim)
     if length <= 0.0 or c >= 0.0:
         return half, xyz[edge, 2]
-    return length, r + TO_RIM * (xyz[edge, 2] - r)
+    return max(length - abs(xyz[edge, 1] - xyz[last, 1]), 0.0), r + TO_RIM * (xyz[edge, 2] - r)
 
 
 def _drawn(profiles: Profiles, index: Integers, number: int) -> Surface:
