@@ -286,7 +286,7 @@ def shapes(count: int, seed: int) -> None:
 
 
 def two_sides(count: int, seed: int) -> None:
-    """Say how far true volumes of two heads are off: exact crossings with noise, and a plate's registration."""
+    """Say how far true volumes of two heads are off: exact crossings with noise, a plate's registration."""
     from roemetry_scan.belt import BeltOptions
     from roemetry_scan.closed import Registration, closed_volume
 
@@ -312,7 +312,7 @@ def two_sides(count: int, seed: int) -> None:
             held += volume.interval[0] <= true <= volume.interval[1]
             width.append((volume.interval[1] - volume.interval[0]) / 2.0 / volume.value)
         print(
-            f"two heads, {len(off)} × {family}: mean {np.mean(off):+.2%}, mean absolute {np.abs(off).mean():.2%}"
+            f"two heads, {len(off)} × {family}: mean {np.mean(off):+.2%}, mean abs. {np.abs(off).mean():.2%}"
             f", worst {np.abs(off).max():.2%}; intervals (± {np.median(width):.2%}) hold {held} of {len(off)}"
         )
 

@@ -258,6 +258,8 @@ def _beyond(
         belt -= inwards
     while 0 <= last < points and mine[i, last] and added[i, last]:
         last += inwards
+    if 0 <= last + inwards < points and mine[i, last + inwards] and not added[i, last + inwards]:
+        last += inwards  # the lens blurs light of higher rows over the outermost
     if not (0 <= belt < points and label[i, belt] == 0 and 0 <= last < points and mine[i, last]):
         return half, xyz[i, edge, 2]
     d, z = np.empty(POINTS), np.empty(POINTS)
