@@ -26,6 +26,8 @@ from roemetry_scan.dense import FLANK_SHARE, TO_RIM, estimate_of
 from roemetry_scan.flanks import conic, followed_to, rims_of
 from roemetry_scan.slip import resampled
 
+CAUSES = ("registration", "unseen rim", "flanks", "between sections", "motion")
+"""Parts of a true volume's budget."""
 _STATIONS, _ACROSS = 240, 240
 _FLANK_POINTS = 12
 """Of a section's end, which tell how it goes on."""
@@ -145,6 +147,8 @@ def closed_volume(
             raise StageError("the product was seen by one head only: no closed body")
         if sides:  # what was followed there knows neither belt nor rim
             mine = mine & profiles.seen
+        if profiles.scan is not None and (mine[profiles.frame % (profiles.scan.lines - 1) == 0]).any():
+            raise StageError("a scan begins or ends within the product: a part is not seen")
         points = np.where(mine[..., None], profiles.xyz_mm, np.nan)
         sides.append(points if not sides else points @ pose[:3, :3].T + pose[:3, 3] + moved)
     known = [one[np.isfinite(one[..., 0])] for one in sides]

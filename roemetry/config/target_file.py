@@ -94,7 +94,7 @@ class SpherePlateFile(Section):
     diameter_mm: float = Field(gt=0, description="of a ball, mm")
     centre_height_mm: float = Field(
         gt=-1000, le=1000,
-        description="of the balls' centres over the plane that is seen beside them, mm; below 0: under a plate's face",
+        description="of the balls' centres over the plane beside them, mm; below 0: under the plate's face",
     )  # fmt: skip
     tolerance_mm: float = Field(default=0.02, ge=0, description="half width of each length's tolerance, mm")
 

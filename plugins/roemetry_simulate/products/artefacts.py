@@ -139,7 +139,9 @@ class BallPlateOptions(ArtefactOptions):
     @model_validator(mode="after")
     def _balls_show(self) -> Self:
         if not 0.5 * self.thickness_mm < self.ball_radius_mm <= min(self.height_mm, 0.5 * self.pitch_mm):
-            raise ValueError("ball_radius_mm must be above thickness_mm / 2, at most pitch_mm / 2 and height_mm")
+            raise ValueError(
+                "ball_radius_mm: expected above thickness_mm / 2, at most pitch_mm / 2, height_mm"
+            )
         return self
 
 
