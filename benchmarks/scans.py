@@ -450,6 +450,34 @@ def speed(count: int, seed: int) -> None:
     del count
 
 
+def files(count: int, seed: int) -> None:
+    """Say what a product takes from its files to its weight: processor time, and by the clock."""
+    sim = scene(1280, 400, family="bread-roll", product=CONVEX["bread-roll"], counts_per_line=10)
+    lines = lines_of(sim, seed)
+    for suffix in ("pgm", "png"):
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            (folder / "roll").mkdir()
+            for k, at in enumerate(lines.count):
+                path = folder / "roll" / f"f{k:04d}_c{at:.0f}.{suffix}"
+                cv2.imwrite(str(path), lines.frame(k).pixels)
+            stages = {
+                "extractor": "log-parabola", "coder": "single", "triangulator": "pinhole-plane",
+                "volume": "dense-slices",
+                "weigher": {"use": "density", "options": {"density_g_per_cm3": 0.3}},
+            }  # fmt: skip
+            source = {"use": "belt-scan", "path": "roll"}
+            recipe = recipe_of(true_calibration(sim), folder, source=source, stages=stages)
+            reader, pipeline, took = recipe.source.make(), Pipeline(recipe, draws=0), []
+            for _ in range(max(2, count)):  # the first loads the kernels
+                begin = time.process_time(), time.perf_counter()
+                trace = pipeline.trace(reader.read(reader.references(folder / "roll")[0]))
+                took.append((time.process_time() - begin[0], time.perf_counter() - begin[1]))
+                assert trace.products[0].weight is not None
+            processor, clock = np.median(took[1:], axis=0)
+            print(f"{len(lines.count)} {suffix} files to a weight: {processor:.2f} s processor, {clock:.2f}")
+
+
 def memory(count: int, seed: int) -> None:
     """Say what `roemetry run` takes at most of a belt of many frames in files, and how long."""
     sim = scene(1280, 400, family="bread-roll", product=CONVEX["bread-roll"], counts_per_line=60)
@@ -480,7 +508,7 @@ def memory(count: int, seed: int) -> None:
 
 PARTS: dict[str, Callable[[int, int], None]] = {
     "motion": motion, "volumes": volumes, "shapes": shapes, "faults": faults, "formats": formats,
-    "speed": speed, "memory": memory, "two-sides": two_sides,
+    "speed": speed, "files": files, "memory": memory, "two-sides": two_sides,
 }  # fmt: skip
 
 
