@@ -46,6 +46,8 @@ CONVEX: dict[str, dict[str, Any]] = {
     "egg": {"kinds": {"healthy": 1}},
     "potato": {"kinds": {"healthy": 1}, "length_range_mm": [55, 75], "width_range_mm": [40, 50]},
 }
+_BELOW_MM = 30.0
+"""Of the lower head's own zero over the belt."""
 _STD = {"focal_px": 3e-4, "planes_per_mm": 1e-5, "belt_per_mm": 1e-5}
 """Relative standard uncertainties of a calibration's parameters, as boards leave them: 0.3 px of a focal
 length of 1,200, 3 µm of a plane's distance."""
@@ -87,7 +89,7 @@ def true_calibration(sim: MovingBelt) -> Calibration:
         "planes_per_mm": np.array(planes),
         "belt_per_mm": turn.T @ np.array([0.0, 0.0, 1.0]) / -place[2],
     }
-    motion = Motion(np.array([*sim.options.scan.mm_per_count, 0.0]), np.zeros((3, 3)))
+    motion = Motion(np.array(sim.calibration_truth(0)["mm_per_count"]), np.zeros((3, 3)))
     return calibration_by(parameters, (camera.height_px, camera.width_px), motion)
 
 
@@ -283,6 +285,38 @@ def shapes(count: int, seed: int) -> None:
         )
 
 
+def two_sides(count: int, seed: int) -> None:
+    """Say how far true volumes of two heads are off: exact crossings with noise, a plate's registration."""
+    from roemetry_scan.belt import BeltOptions
+    from roemetry_scan.closed import Registration, closed_volume
+
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = _BELOW_MM
+    registration = Registration(pose, 0.005, 6, (0.0, 0.0))
+    for family in ("egg", "potato", "bread-roll"):
+        off, held, width = [], 0, []
+        for k in range(count):
+            rig = _rig(np.random.default_rng([seed, k, 11]), tilt_deg=35.0)
+            sides = []
+            for below_mm in (None, _BELOW_MM):
+                sim = scene(family=family, product=CONVEX[family], lead_mm=35.0, below_mm=below_mm, **rig)
+                stripes, lines = stripes_of(sim, seed + k, 0.05)
+                assembler = BeltMotion(BeltOptions(belt="fit" if below_mm is None else "zero"))
+                placed = assembler.place(stripes, lines, true_calibration(sim), PinholePlane())
+                sides.append(assembler.label(placed))
+            volume, drawn = closed_volume(sides[0], sides[1], registration), sim.drawn(0, seed + k)
+            assert drawn is not None
+            assert drawn.truth.true_mm3 is not None
+            true = drawn.truth.true_mm3
+            off.append(volume.value / true - 1.0)
+            held += volume.interval[0] <= true <= volume.interval[1]
+            width.append((volume.interval[1] - volume.interval[0]) / 2.0 / volume.value)
+        print(
+            f"two heads, {len(off)} × {family}: mean {np.mean(off):+.2%}, mean abs. {np.abs(off).mean():.2%}"
+            f", worst {np.abs(off).max():.2%}; intervals (± {np.median(width):.2%}) hold {held} of {len(off)}"
+        )
+
+
 def _spoiled(fault: str, lines: ScanLines, rng: np.random.Generator) -> tuple[ScanLines, Any]:
     """Give the lines with a fault at a random place, and which of the scan's they are."""
     many = len(lines.count)
@@ -416,6 +450,34 @@ def speed(count: int, seed: int) -> None:
     del count
 
 
+def files(count: int, seed: int) -> None:
+    """Say what a product takes from its files to its weight: processor time, and by the clock."""
+    sim = scene(1280, 400, family="bread-roll", product=CONVEX["bread-roll"], counts_per_line=10)
+    lines = lines_of(sim, seed)
+    for suffix in ("pgm", "png"):
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            (folder / "roll").mkdir()
+            for k, at in enumerate(lines.count):
+                path = folder / "roll" / f"f{k:04d}_c{at:.0f}.{suffix}"
+                cv2.imwrite(str(path), lines.frame(k).pixels)
+            stages = {
+                "extractor": "log-parabola", "coder": "single", "triangulator": "pinhole-plane",
+                "volume": "dense-slices",
+                "weigher": {"use": "density", "options": {"density_g_per_cm3": 0.3}},
+            }  # fmt: skip
+            source = {"use": "belt-scan", "path": "roll"}
+            recipe = recipe_of(true_calibration(sim), folder, source=source, stages=stages)
+            reader, pipeline, took = recipe.source.make(), Pipeline(recipe, draws=0), []
+            for _ in range(max(2, count)):  # the first loads the kernels
+                begin = time.process_time(), time.perf_counter()
+                trace = pipeline.trace(reader.read(reader.references(folder / "roll")[0]))
+                took.append((time.process_time() - begin[0], time.perf_counter() - begin[1]))
+                assert trace.products[0].weight is not None
+            processor, clock = np.median(took[1:], axis=0)
+            print(f"{len(lines.count)} {suffix} files to a weight: {processor:.2f} s processor, {clock:.2f}")
+
+
 def memory(count: int, seed: int) -> None:
     """Say what `roemetry run` takes at most of a belt of many frames in files, and how long."""
     sim = scene(1280, 400, family="bread-roll", product=CONVEX["bread-roll"], counts_per_line=60)
@@ -446,7 +508,7 @@ def memory(count: int, seed: int) -> None:
 
 PARTS: dict[str, Callable[[int, int], None]] = {
     "motion": motion, "volumes": volumes, "shapes": shapes, "faults": faults, "formats": formats,
-    "speed": speed, "memory": memory,
+    "speed": speed, "files": files, "memory": memory, "two-sides": two_sides,
 }  # fmt: skip
 
 

@@ -21,10 +21,11 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 8.0, 30.0, 50.0
 """View and margins of the chart of slices, in units of its SVG; the margins hold the tick labels."""
 
 
-def slice_chart(volume: Volume) -> Markup | None:
+def slice_chart(volume: Volume, word: str = "stripe") -> Markup | None:
     """Draw the slices as bars: as high as the slice's area, as wide as the spacing it was held over.
 
-    So a bar's face is that slice's share of the volume. None where the estimator summed no slices.
+    So a bar's face is that slice's share of the volume. None where the estimator summed no slices. `word` is
+    what a slice is made of: a stripe, or a line of a scan.
     """
     order = np.argsort(volume.slice_stripe, kind="stable")
     area, spacing = volume.slice_area_mm2[order], volume.slice_spacing_mm[order]
@@ -47,7 +48,7 @@ def slice_chart(volume: Volume) -> Markup | None:
     slices = zip(volume.slice_stripe[order].tolist(), area, spacing, wide, strict=True)
     for k, (stripe, a, s, w) in enumerate(slices):
         width, top = float(w) * across, up(float(np.nan_to_num(a)))
-        title = f"Stripe {stripe + 1}: {plain(float(a), 1)} mm², held over {plain(float(s), 2)} mm"
+        title = f"{word.capitalize()} {stripe + 1}: {plain(float(a), 1)} mm², held over {plain(float(s), 2)} mm"
         colour = palette.stripe_colour_on_paper(stripe)
         parts.append(svg.box(x + 0.75, top, max(width - 1.5, 0.5), floor - top, "bar", title, colour))
         middle = x + width / 2
@@ -60,7 +61,7 @@ def slice_chart(volume: Volume) -> Markup | None:
             ]
         x += width
     parts += [
-        svg.text(_LEFT - 6, floor + 14, "stripe", "tick end"),
+        svg.text(_LEFT - 6, floor + 14, word, "tick end"),
         svg.text(_LEFT - 6, floor + 27, "mm", "tick end"),
         svg.text(_LEFT, 9, "area, mm²", "tick start"),
         svg.text((_LEFT + _WIDTH - _RIGHT) / 2, _HEIGHT - 5, "spacing (width of the bar), mm", "tick"),

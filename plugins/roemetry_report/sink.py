@@ -201,7 +201,8 @@ def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> dict[str,
     except RoemetryError as error:
         no_pictures = str(error)
     drawn = () if trace is None else panels(trace, key)
-    if trace is not None and trace.frame is None and trace.profiles is not None:
+    is_scan = trace is not None and trace.frame is None and trace.profiles is not None
+    if is_scan and trace is not None and trace.profiles is not None:
         drawn = height_panels(trace.profiles, key)
     if trace is not None and not drawn:
         why = next(iter(trace.absent.values()), None)
@@ -213,6 +214,7 @@ def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> dict[str,
         "why": shown.why,
         "is_first": key == "a1" and shown.why != FAULTY,
         "panels": drawn,
+        "is_scan": is_scan,
         "no_pictures": no_pictures,
         "products": tuple(_product(row, trace, f"{key}-p{row.product}", key) for row in shown.rows),
         "coding": _coding(shown.rows[0]) if shown.rows else (),
@@ -258,7 +260,9 @@ def _product(row: Measurement, trace: Trace | None, key: str, section_key: str) 
         "reasons": tuple(r for r in row.all_reasons if r not in said),
         "absent": row.absent,
         "slices": () if row.volume is None else _slices(row.volume),
-        "slice_chart": None if row.volume is None else slice_chart(row.volume),
+        "slice_chart": None
+        if row.volume is None
+        else slice_chart(row.volume, "stripe" if trace is None or trace.frame is not None else "line"),
         "arcs": arcs,
         "relief": relief,
         "profiles": profiles,

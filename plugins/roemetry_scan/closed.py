@@ -1,15 +1,15 @@
 """The closed body that two heads see: sections of top and bottom in one frame, and what neither saw.
 
 Model. The lower head's points are carried into the upper head's frame by the rigid motion that lays the balls
-of a plate, seen by both, on one another (Kabsch 1976). At stations along the belt, the upper curve from left
-to right and the lower one back again enclose a section's area; sections times their distance are the volume.
-Only seen points count. Where the curves do not meet, at the rim that neither head saw, the section goes on as
-an arc that is tangent to both, as a circle's of the same turn fills the triangle of chord and tangents.
-Beyond the first and last section that both see, areas fall as those of an ellipsoid do.
+of a plate, seen by both, on one another (Kabsch 1976). At stations along the belt, the area between the upper
+curve and the rim's height, and between that and the lower curve, make a section; sections times their
+distance are the volume. The rim's height is what the upper head sees where belt lies right beside the
+product. Flanks that a head does not see are followed to it (`roemetry_scan.flanks`): those of the underside
+as far as the upper head sees no belt. Beyond the first and last section areas fall as an ellipsoid's do.
 
-Uncertainty: `registration` its standard uncertainty across the heads, times the footprint; `unseen rim` a
-tenth of what lies beyond the chords; `between sections` what every other station changes; `motion` of both
-scans.
+Uncertainty: `registration` its standard uncertainty across the heads, times the footprint; `flanks` what was
+followed, as of one-sided scans; `unseen rim` a tenth of what lies beyond the curves' ends; `between sections`
+what every other station changes; `motion` of both scans.
 """
 
 from __future__ import annotations
@@ -21,15 +21,21 @@ import numpy as np
 
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import Estimate, Profiles, SpherePlate
-from roemetry.records.arrays import Floats
-from roemetry_scan.dense import estimate_of
+from roemetry.records.arrays import Flags, Floats
+from roemetry_scan.dense import FLANK_SHARE, TO_RIM, estimate_of
+from roemetry_scan.flanks import conic, followed_to, rims_of
 from roemetry_scan.slip import resampled
 
+CAUSES = ("registration", "unseen rim", "flanks", "between sections", "motion")
+"""Parts of a true volume's budget."""
 _STATIONS, _ACROSS = 240, 240
-_TANGENT_POINTS = 6
+_FLANK_POINTS = 12
+"""Of a section's end, which tell how it goes on."""
 _RIM_SHARE = 0.1
 _BALL_SHARE = 0.33
-"""Of a ball's radius above its centre: below, plate and rim are seen."""
+"""As in `roemetry_scan.motion`."""
+_UNDER_RIM_MM = 1.0
+"""Zero from which the underside is followed lies so far over the rim: conics are fitted to what rises."""
 _OFF_MAX_MM = 0.5
 """Centres that fit one another worse than this are not those of one plate."""
 
@@ -136,9 +142,13 @@ def closed_volume(
     pose = registration.T_top_bottom
     moved = _begun_later(top, bottom, registration)
     for profiles, number in zip((top, bottom), numbers, strict=True):
-        mine = (profiles.product == number) & profiles.seen
-        if np.count_nonzero(mine) < 100:
+        mine = profiles.product == number
+        if np.count_nonzero(mine & profiles.seen) < 100:
             raise StageError("the product was seen by one head only: no closed body")
+        if sides:  # what was followed there knows neither belt nor rim
+            mine = mine & profiles.seen
+        if profiles.scan is not None and (mine[profiles.frame % (profiles.scan.lines - 1) == 0]).any():
+            raise StageError("a scan begins or ends within the product: a part is not seen")
         points = np.where(mine[..., None], profiles.xyz_mm, np.nan)
         sides.append(points if not sides else points @ pose[:3, :3].T + pose[:3, 3] + moved)
     known = [one[np.isfinite(one[..., 0])] for one in sides]
@@ -149,24 +159,59 @@ def closed_volume(
     x = np.linspace(low[:, 0].min() + edge[0], high[:, 0].max() - edge[0], _STATIONS)
     y = np.linspace(low[:, 1].min() - 1.0, high[:, 1].max() + 1.0, _ACROSS)
     upper, lower = (resampled(one, x, y) for one in sides)
-    areas, rims = np.array([_section(y, upper[k], lower[k]) for k in range(_STATIONS)]).T
+    seen = resampled(np.where(top.seen[..., None], sides[0], np.nan), x, y)
+    rim = _rim_of(top, numbers[0], upper, lower)
+    added = np.isfinite(upper) & ~np.isfinite(seen)
+    lower, hidden = _underside_followed(x, y, upper, lower, rim)
+    followed = float((upper - rim)[added].sum() + (rim - lower)[hidden].sum())
+    over, under = (np.array([_half(y, line) for line in half]) for half in (upper - rim, rim - lower))
+    areas, beyond = (over + under).T
+    areas[(over[:, 0] == 0.0) | (under[:, 0] == 0.0)] = 0.0
     step = float(x[1] - x[0])
-    ends = _cap(x, areas + rims) + _cap(-x[::-1], (areas + rims)[::-1])
-    value = float((areas + rims).sum() * step) + ends
+    ends = _cap(x, areas + beyond) + _cap(-x[::-1], (areas + beyond)[::-1])
+    value = float((areas + beyond).sum() * step) + ends
     if not value > 0.0:
         raise StageError("top and bottom enclose nothing")
     footprint = float(np.isfinite(upper).sum() * step * (y[1] - y[0]))
-    coarse = [float((areas + rims)[first::2].sum() * 2.0 * step) for first in (0, 1)]
+    coarse = [float((areas + beyond)[first::2].sum() * 2.0 * step) for first in (0, 1)]
     pitch = [one.scan.pitch_rel_std if one.scan is not None else 0.0 for one in (top, bottom)]
     return estimate_of(
         value,
         {
             "registration": registration.std_mm * footprint,
-            "unseen rim": _RIM_SHARE * (float(rims.sum() * step) + ends),
+            "unseen rim": _RIM_SHARE * (float(beyond.sum() * step) + ends),
+            "flanks": FLANK_SHARE * abs(followed) * step * float(y[1] - y[0]),
             "between sections": 0.5 * abs(coarse[0] - coarse[1]),
             "motion": value * max(pitch),
         },
     )
+
+
+def _rim_of(top: Profiles, number: int, upper: Floats, lower: Floats) -> float:
+    """Give the height of the rim as the upper head sees it, else halfway between both surfaces' edges, mm."""
+    rim = float(rims_of(top.xyz_mm, top.product, ~top.seen, int(top.product.max()))[0][number])
+    if math.isfinite(rim):
+        return rim
+    edges = [half[[k, k], np.flatnonzero(np.isfinite(half[k]))[[0, -1]]]
+             for half in (upper, lower) for k in np.flatnonzero(np.isfinite(half).any(axis=1))]  # fmt: skip
+    return float(np.mean(edges))
+
+
+def _underside_followed(
+    x: Floats, y: Floats, upper: Floats, lower: Floats, rim: float
+) -> tuple[Floats, Flags]:
+    """Give (x, y) the lower side with its flanks followed to the rim, and where they were.
+
+    The upper head has told how high the rim lies and, all around it, where there is only belt.
+    """
+    base = rim + _UNDER_RIM_MM
+    grid = np.stack([*np.meshgrid(x, y, indexing="ij"), np.maximum(base - lower, 0.0)], axis=-1)
+    label = np.where(np.isfinite(lower), 1, np.where(np.isfinite(upper), -1, 0)).astype(np.int16)
+    grid[label == 0, 2] = 0.0
+    plane = np.column_stack([np.ones(x.size), np.zeros((x.size, 2)), x])
+    rims = np.array([0.0, _UNDER_RIM_MM])
+    points, label, added = followed_to(grid, label, plane, rims, np.repeat(rims[:, None], y.size, axis=1))
+    return np.where(label > 0, base - points[..., 2], np.nan), added
 
 
 def first_counts(top: Profiles, bottom: Profiles) -> tuple[float, float] | None:
@@ -222,37 +267,15 @@ def _cap(x: Floats, area: Floats) -> float:
     return max(c * length - 0.5 * b * length**2 + a * length**3 / 3.0, 0.0)
 
 
-def _section(y: Floats, upper: Floats, lower: Floats) -> tuple[float, float]:
-    """Give the area within both curves and the chords between their ends, and what lies beyond the chords."""
-    above, below = np.flatnonzero(np.isfinite(upper)), np.flatnonzero(np.isfinite(lower))
-    if above.size < 2 or below.size < 2:
+def _half(y: Floats, height: Floats) -> tuple[float, float]:
+    """Give the area of half a section over the rim's height, and what lies beyond its outermost points."""
+    on = np.flatnonzero(np.isfinite(height))
+    if on.size < 2:
         return 0.0, 0.0
-    top, under = np.column_stack([y, upper])[above], np.column_stack([y, lower])[below]
-    around = np.concatenate([top, under[::-1]])
-    ahead = np.roll(around, -1, axis=0)
-    area = 0.5 * abs(float((around[:, 0] * ahead[:, 1] - ahead[:, 0] * around[:, 1]).sum()))
-    beyond = _bulge(top[::-1], under[::-1]) + _bulge(top, under)
-    return area, beyond
-
-
-def _bulge(top: Floats, under: Floats) -> float:
-    """Give what lies beyond the chord between the first points of both curves, mm²."""
-    a, b = top[0], under[0]
-    s = top[0] - top[min(_TANGENT_POINTS, len(top) - 1)]
-    t = under[0] - under[min(_TANGENT_POINTS, len(under) - 1)]
-    cross = s[0] * t[1] - s[1] * t[0]
-    chord = b - a
-    if abs(cross) < 1e-9:
-        return 0.0
-    reach = (chord[0] * t[1] - chord[1] * t[0]) / cross
-    other = (chord[0] * s[1] - chord[1] * s[0]) / cross
-    if reach <= 0.0 or other <= 0.0:  # tangents part: a step, or the curves meet already
-        return 0.0
-    apex = reach * s
-    triangle = 0.5 * abs(float(apex[0] * chord[1] - apex[1] * chord[0]))
-    turned = -float(s @ t) / math.sqrt(float(s @ s) * float(t @ t))
-    half = 0.5 * math.acos(min(max(turned, -1.0), 1.0))
-    share = 2.0 / 3.0
-    if half > 0.05:
-        share = (half - math.sin(half) * math.cos(half)) / (math.sin(half) ** 2 * math.tan(half))
-    return share * min(triangle, 0.5 * float(chord @ chord))
+    at, over = y[on], height[on]
+    beyond = 0.0
+    for side in (slice(None, _FLANK_POINTS), slice(None, -_FLANK_POINTS - 1, -1)):
+        z = np.ascontiguousarray(over[side])
+        length = conic(np.abs(at[side] - at[side][0]), z, z.size, max(float(z[0]), 0.0), 0.0)[4]
+        beyond += TO_RIM * length * float(z[0])
+    return float(np.trapezoid(over, at)), beyond

@@ -58,7 +58,7 @@ def two_sides(
     from roemetry.errors import CalibrationError, DataError, RoemetryError
     from roemetry.io.files import write_whole
     from roemetry.io.yaml_source import read_numbers
-    from roemetry_scan.closed import Registration, closed_volume
+    from roemetry_scan.closed import CAUSES, Registration, closed_volume
 
     data = read_numbers(registration)
     try:
@@ -74,7 +74,10 @@ def two_sides(
         raise CalibrationError(
             f"{registration}: no registration of two heads ({error})", hint="make one with register-heads"
         ) from error
-    lines = ["acquisition,true volume (cm³),standard uncertainty (cm³),95 % from (cm³),to (cm³),reason"]
+    causes = ",".join(f"{cause} (cm³)" for cause in CAUSES)
+    lines = [
+        f"acquisition,true volume (cm³),standard uncertainty (cm³),95 % from (cm³),to (cm³),{causes},reason"
+    ]
     uppers, lowers = list(_traces(top)), list(_traces(bottom))
     if len(uppers) != len(lowers):
         raise DataError(
@@ -87,11 +90,12 @@ def two_sides(
                 raise DataError(reasons[0].text if reasons else "a head measured nothing")
             volume = closed_volume(upper.profiles, lower.profiles, found)
         except RoemetryError as error:
-            lines.append(f'{upper.acquisition_id},,,,,"{error.message}"')
+            lines.append(f'{upper.acquisition_id},,,,{"," * len(CAUSES)},"{error.message}"')
             typer.echo(f"{upper.acquisition_id}: no volume: {error.message}")
             continue
         low, high = volume.interval
-        figures = (value / 1000.0 for value in (volume.value, volume.std, low, high))
+        parts = (volume.budget[cause] for cause in CAUSES)
+        figures = (value / 1000.0 for value in (volume.value, volume.std, low, high, *parts))
         lines.append(f"{upper.acquisition_id}," + ",".join(f"{value:.4f}" for value in figures) + ",")
         typer.echo(f"{upper.acquisition_id}: {volume.value / 1000:.2f} ± {volume.std / 1000:.2f} cm³")
     write_whole(out, "\n".join(lines) + "\n")

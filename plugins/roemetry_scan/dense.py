@@ -26,20 +26,20 @@ from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Surfac
 from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
 from roemetry_kernels.compiling import float_kernel
-from roemetry_scan.flanks import POINTS, conic, rims_of
+from roemetry_scan.flanks import POINTS, conic, pooled, rims_of
 
 _UNIFORM = 1.0 / math.sqrt(12.0)
 _OVER_GAP = 0.1
 """Of what a straight line fills: a dome rises over it by some tenth."""
-_FLANK = 0.06
+FLANK_SHARE = 0.06
 """Of what was followed of the flanks. Chosen on foods (seeds 9500 and 9700), where 0.1 made intervals three
 times too wide; on seed 9900, used for nothing else, 19 of 20 intervals hold."""
 _EDGE_SHIFT = 0.3
 """Points by which all edges may lie farther out together: rays miss the last of a flank (seed 7000)."""
 _EDGE_POINTS = 0.5
 """Points by which each edge of a slice may lie otherwise, uniform."""
-_BEYOND_STEPS = 2.0
-"""An outermost point beyond which more is missing would have been followed by the assembler."""
+TO_RIM = 2.0 / 3.0
+"""Of the last point's height over the rim, on the mean from there to it: a parabola's."""
 _SURFACE_SLICES, _SURFACE_POINTS = 160, 64
 """Of a drawn surface, at most."""
 _COVERAGE_FACTOR = 1.959964
@@ -126,8 +126,8 @@ def sections_of(profiles: Profiles, number: int) -> Sections:
     if not gap.min() > 0.0:
         raise StageError("two slices lie at one place")
     xyz, on = profiles.xyz_mm[index], mine[index]
-    rim = rims_of(profiles.xyz_mm, profiles.product, ~profiles.seen, int(profiles.product.max()))[number]
-    table = _areas(xyz, on, profiles.seen[index], profiles.product[index], rim)
+    rims, _ = rims_of(profiles.xyz_mm, profiles.product, ~profiles.seen, int(profiles.product.max()))
+    table = _areas(xyz, on, profiles.seen[index], profiles.product[index], rims[number])
     place = profiles.stripe[index]
     steps = np.maximum(np.abs(np.diff(place)), 1)
     held, own = np.zeros(index.size), np.zeros(index.size)
@@ -156,7 +156,7 @@ def budget_of(found: Sections, profiles: Profiles) -> dict[str, float]:
     budget = {
         "between slices": uneven,
         "slice edges": math.hypot(float(np.sqrt(edge @ edge)), together),
-        "flanks": _FLANK * float(found.bridged_mm2 @ found.held_mm),
+        "flanks": FLANK_SHARE * float(found.bridged_mm2 @ found.held_mm),
         "gaps": _OVER_GAP * float(found.filled_mm2 @ found.held_mm)
         + _OVER_GAP * float(area @ (found.held_mm - found.own_mm)),
     }
@@ -208,7 +208,7 @@ def estimate_of(value: float, budget: dict[str, float]) -> Estimate:
 def _areas(xyz: Floats, mine: Flags, seen: Flags, label: Labels, rim: float) -> Floats:
     """Give (slice, 6): area, what of it is filled, width, √(Σ edge heights²), usual step, what is bridged."""
     slices, points = mine.shape
-    table = np.zeros((slices, 6))
+    table, added = np.zeros((slices, 6)), ~seen
     for i in range(slices):
         last, first = -1, -1
         area, filled, bridged, steps, count = 0.0, 0.0, 0.0, 0.0, 0
@@ -230,11 +230,11 @@ def _areas(xyz: Floats, mine: Flags, seen: Flags, label: Labels, rim: float) -> 
                 first = k
             last = k
         each = steps / count if count > 0 else 0.0
-        left = _beyond(xyz[i], mine[i], seen[i], label[i], first, 1, each, rim)
-        right = _beyond(xyz[i], mine[i], seen[i], label[i], last, -1, each, rim)
-        area += left * xyz[i, first, 2] + right * xyz[i, last, 2]
+        left = _beyond(xyz, mine, added, label, i, first, 1, each, rim)
+        right = _beyond(xyz, mine, added, label, i, last, -1, each, rim)
+        area += left[0] * left[1] + right[0] * right[1]
         table[i, 0], table[i, 1], table[i, 5] = area, filled, bridged
-        table[i, 2] = abs(xyz[i, last, 1] - xyz[i, first, 1]) + left + right
+        table[i, 2] = abs(xyz[i, last, 1] - xyz[i, first, 1]) + left[0] + right[0]
         table[i, 3] = math.sqrt(xyz[i, first, 2] ** 2 + xyz[i, last, 2] ** 2)
         table[i, 4] = each
     return table
@@ -242,24 +242,36 @@ def _areas(xyz: Floats, mine: Flags, seen: Flags, label: Labels, rim: float) -> 
 
 @float_kernel
 def _beyond(
-    xyz: Floats, mine: Flags, seen: Flags, label: Labels, edge: int, inwards: int, step: float, rim: float
-) -> float:
-    """Give how far a slice goes on beyond its outermost point, mm.
+    xyz: Floats, mine: Flags, added: Flags, label: Labels, i: int, edge: int, inwards: int, step: float,
+    rim: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Give how far a slice goes on beyond its outermost point, mm, and the mean height there, mm.
 
-    Half a step on the mean where belt is seen right beside it. Where it is not, rays that graze the flank
-    have lost a little more of it, and the flank tells how much.
+    A wall or a slope ends half a step farther out on the mean. A flank that bulges goes on as the conic of
+    its last seen points: a camera over the belt's middle looks past the rim of what it sees to the side, and
+    light that grazes loses the last of it.
     """
-    beside = edge - inwards
-    if not seen[edge] or not 0 <= beside < label.size or label[beside] >= 0:
-        return 0.5 * step
+    half = 0.5 * step
+    belt, last = edge - inwards, edge
+    points = label.shape[1]
+    while 0 <= belt < points and label[i, belt] < 0:
+        belt -= inwards
+    while 0 <= last < points and mine[i, last] and added[i, last]:
+        last += inwards
+    if 0 <= last + inwards < points and mine[i, last + inwards] and not added[i, last + inwards]:
+        last += inwards  # the lens blurs light of higher rows over the outermost
+    if not (0 <= belt < points and label[i, belt] == 0 and 0 <= last < points and mine[i, last]):
+        return half, xyz[i, edge, 2]
     d, z = np.empty(POINTS), np.empty(POINTS)
-    count, k = 0, edge
-    while 0 <= k < seen.size and count < POINTS and mine[k] and seen[k]:
-        d[count], z[count] = abs(xyz[k, 1] - xyz[edge, 1]), xyz[k, 2]
+    count, k = 0, last
+    while 0 <= k < points and count < POINTS and mine[i, k] and not added[i, k]:
+        d[count], z[count] = abs(xyz[i, k, 1] - xyz[i, last, 1]), pooled(xyz, label, added, i, k, 1)
         count += 1
         k += inwards
-    length = conic(d, z, count, _BEYOND_STEPS * step, rim)[4]
-    return max(length, 0.5 * step)
+    r, _, _, c, length = conic(d, z, count, abs(xyz[i, belt, 1] - xyz[i, last, 1]), rim)
+    if length <= 0.0 or c >= 0.0:
+        return half, xyz[i, edge, 2]
+    return max(length - abs(xyz[i, edge, 1] - xyz[i, last, 1]), 0.0), r + TO_RIM * (xyz[i, edge, 2] - r)
 
 
 def _drawn(profiles: Profiles, index: Integers, number: int) -> Surface:

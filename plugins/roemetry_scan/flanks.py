@@ -34,6 +34,8 @@ _RIM_ROWS_MIN = 10
 """Image rows that tell a product's rim where belt is seen right beside it."""
 _RIM_STEPS, _RIM_STEPS_DIM = 1.4, 3.5
 """From a row's outermost point down to the rim, by its rise to the next one; and where a dim one was lost."""
+_RIM_GROUPS = 7
+"""Of neighbouring rows, whose medians tell how sections end from side to side."""
 _POOLED = 3
 """Neighbours on either side whose mean stands for a point: noise of single ones bends the conic."""
 _FLAT = 1.02
@@ -48,10 +50,17 @@ def followed(xyz_mm: Floats, label: Labels, plane: Floats) -> tuple[Floats, Labe
     xyz_mm, label, plane
         As in `Profiles`: over the belt, with belt and products told apart.
     """
+    rims, by_row = rims_of(xyz_mm, label, np.zeros(label.shape, np.bool_), int(label.max(initial=0)))
+    return followed_to(xyz_mm, label, plane, rims, by_row)
+
+
+def followed_to(
+    xyz_mm: Floats, label: Labels, plane: Floats, rims: Floats, by_row: Floats
+) -> tuple[Floats, Labels, Flags]:
+    """Do what `followed` does, to rims as `rims_of` gives them."""
     points, number = np.array(xyz_mm), np.array(label)
     added = np.zeros(number.shape, np.bool_)
-    rims = rims_of(points, number, added, int(number.max(initial=0)))
-    _along_belt(points, number, added, plane, rims)
+    _along_belt(points, number, added, plane, by_row)
     _along_slices(points, number, added, plane, rims)
     _join(points, number, added, plane)
     return points, number, added
@@ -125,7 +134,7 @@ def _along_belt(xyz: Floats, label: Labels, added: Flags, plane: Floats, rims: F
             while 0 <= i < slices:
                 ahead = i + way
                 if label[i, k] > 0 and 0 <= ahead < slices and label[ahead, k] < 0:
-                    i = _fill(xyz, label, added, plane, rims, i, k, way, 0)
+                    i = _fill(xyz, label, added, plane, rims[label[i, k], k], i, k, way, 0)
                 else:
                     i = ahead
 
@@ -140,22 +149,27 @@ def _along_slices(xyz: Floats, label: Labels, added: Flags, plane: Floats, rims:
             while 0 <= k < points:
                 ahead = k + way
                 if label[i, k] > 0 and 0 <= ahead < points and label[i, ahead] < 0:
-                    k = _fill(xyz, label, added, plane, rims, i, k, 0, way)
+                    k = _fill(xyz, label, added, plane, rims[label[i, k]], i, k, 0, way)
                 else:
                     k = ahead
 
 
 @float_kernel
-def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> Floats:
-    """Give (product + 1,) the height of each one's rim, if belt is seen right beside it somewhere; else NaN.
+def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> tuple[Floats, Floats]:
+    """Give (product + 1,) the height of each one's rim, and (product + 1, row) that of its sections by rows.
 
-    Near a rim heights are r + √(α·d): of a last point that lies anywhere within a spacing of it and of the
-    next one, z₀ − 1.4·(z₁ − z₀) is r on the mean, over many image rows within a hundredth of the height.
-    Where light grazes, the point nearest to the rim is often too dim: such rows count as low ones of the
-    median.
+    NaN where belt is seen right beside too few of them. Near a rim heights are r + √(α·d): of a last point
+    that lies anywhere within a spacing of it and of the next one, z₀ − 1.4·(z₁ − z₀) is r on the mean, over
+    many image rows within a hundredth of the height. Where light grazes, the point nearest to the rim is
+    often too dim: such rows count as low ones of the median.
+
+    What a row shows lies in a plane that leans towards the camera, the more the farther to the side. Its
+    section of a body ends above the body's rim there; the slices' planes, which stand upright, end at that of
+    the middle half of the rows.
     """
     slices, points = label.shape
     found, count = np.full((products + 1, 2 * points), np.nan), np.zeros(products + 1, np.int64)
+    at = np.zeros((products + 1, 2 * points))
     for k in range(points):
         for way in (1, -1):
             unseen = slices
@@ -173,17 +187,26 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> Floats:
                         z0, z1 = xyz[m, k, 2], xyz[m + way, k, 2]
                         steps = _RIM_STEPS if unseen == 0 else _RIM_STEPS_DIM
                         found[number, count[number]] = z0 - steps * max(z1 - z0, 0.0)
+                        at[number, count[number]] = k
                         count[number] += 1
                     unseen = slices
-    rims = np.full(products + 1, np.nan)
+    rims, by_row = np.full(products + 1, np.nan), np.full((products + 1, points), np.nan)
     for number in range(1, products + 1):
-        if count[number] >= _RIM_ROWS_MIN:
-            rims[number] = max(np.median(found[number, : count[number]]), 0.0)
-    return rims
+        many = count[number]
+        if many < _RIM_ROWS_MIN:
+            continue
+        rims[number] = max(np.median(found[number, many // 4 : many - many // 4]), 0.0)
+        groups = min(_RIM_GROUPS, many // _RIM_ROWS_MIN)
+        row, height = np.empty(groups), np.empty(groups)
+        for g in range(groups):
+            part = slice(g * many // groups, (g + 1) * many // groups)
+            row[g], height[g] = np.mean(at[number, part]), max(np.median(found[number, part]), 0.0)
+        by_row[number] = np.interp(np.arange(points), row, height)
+    return rims, by_row
 
 
 @float_kernel
-def _pooled(xyz: Floats, label: Labels, added: Flags, m: int, n: int, axis: int) -> float:
+def pooled(xyz: Floats, label: Labels, added: Flags, m: int, n: int, axis: int) -> float:
     """Give the mean height of a point and of its neighbours across the way that is followed."""
     slices, points = label.shape
     total, count = xyz[m, n, 2], 1
@@ -226,7 +249,7 @@ def _fill(
     label: Labels,
     added: Flags,
     plane: Floats,
-    rims: Floats,
+    rim: float,
     i: int,
     k: int,
     way_i: int,
@@ -242,7 +265,7 @@ def _fill(
             d[count] = abs(xyz[m, n, axis] - xyz[i, k, axis])
             if count >= _POINTS_MIN and d[count] > _REACH * xyz[i, k, 2]:
                 break
-            z[count] = _pooled(xyz, label, added, m, n, axis)
+            z[count] = pooled(xyz, label, added, m, n, axis)
             count += 1
         m -= way_i
         n -= way_k
@@ -264,7 +287,7 @@ def _fill(
     else:
         return stop
     most = abs(x1 - x0) if axis == 0 else abs(y1 - y0)
-    r, a, b, c, length = conic(d, z, count, most, rims[number])
+    r, a, b, c, length = conic(d, z, count, most, rim)
     if length <= 0.0:
         return stop
     m, n = i + way_i, k + way_k

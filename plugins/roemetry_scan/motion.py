@@ -27,7 +27,7 @@ import numpy as np
 
 from roemetry.errors import CalibrationError, RoemetryError
 from roemetry.records import Pyramid, ScanLines, SpherePlate, StripeMap
-from roemetry.records.arrays import Floats
+from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.records.scan import Motion
 from roemetry.stages import Triangulator
@@ -50,6 +50,8 @@ _TOGETHER = 9.0
 """Points whose errors hang together as one: three neighbouring rows in three neighbouring lines."""
 _FAR = 3.0
 """Robust standard deviations from which a point belongs to nothing of the body: dirt, a base plate."""
+_BALL_SHARE = 0.33
+"""Of a ball's radius above its centre: below, plate and rim are seen."""
 _RMS_MAX_SHARE = 0.01
 """Of the body's height: a worse fit is another body, or a calibration that is none."""
 _PITCH_STD_MAX, _LEAN_STD_MAX_DEG = 0.002, 0.1
@@ -73,10 +75,10 @@ def measured_motion(
     line = np.flatnonzero(found.used)
     way = found.direction * found.way[line]
     seen, index = _rig_points(stripes, line, calibration, triangulator)
-    start, pose, length = _started(seen, way[index], target, right)
+    start, pose, length, some = _started(seen, way[index], target, right)
     surface = _surface_of(target)
     unknowns = np.concatenate([start, pose])
-    unknowns, kept = _fitted(unknowns, seen, way[index], surface, length)
+    unknowns, kept = _fitted(unknowns, seen, way[index], surface, length, some)
     residual, slopes = _linearised(unknowns, seen[kept], way[index][kept], surface)
     rms = float(np.sqrt(np.mean(residual**2)))
     if not rms < _RMS_MAX_SHARE * _height(target):
@@ -159,24 +161,27 @@ def _rig_points(
 
 def _started(
     seen: Floats, way: Floats, target: Pyramid | SpherePlate, right: bool
-) -> tuple[Floats, Floats, float]:
-    """Give a first motion and pose (turn vector, place) by the target's length, and that length, mm."""
+) -> tuple[Floats, Floats, float, Integers]:
+    """Give a first motion and pose (turn vector, place), the target's length, mm, and which points may be it.
+
+    Of a ball plate these are its balls' alone: with a pose that is not known yet, its face would be theirs.
+    """
     length = _length(target)
     # the belt's line stands still in the rig's frame: its plane there is that of the line alone
     level = np.column_stack([way / max(np.ptp(way), 1.0) * 100.0, seen[:, 1:]])
     plane = plane_of_belt(level, _NEAR_MM)
     over = seen[:, 2] - plane[0] - level[:, :2] @ plane[1:]
-    on = over > 0.3 * _height(target)
+    cut_mm = _cut(target)
+    on = over > cut_mm
     if np.count_nonzero(on) < 100:
         raise CalibrationError(
-            f"the {target.name} is not seen in the scan: {int(on.sum())} points rise above a third of its "
-            "height",
+            f"the {target.name} is not seen in the scan: {int(on.sum())} points rise above {cut_mm:.1f} mm",
             hint="carry it through the light as a whole, with bare belt before and behind it",
         )
     counts = float(np.ptp(np.quantile(way[on], [0.002, 0.998])))
     if counts <= 0.0:
         raise CalibrationError("the target is seen in one line only")
-    seen_length = _length_at(target, 0.3 * _height(target))
+    seen_length = _length_at(target, cut_mm)
     start = np.array([(1.0 if right else -1.0) * seen_length / counts, 0.0, 0.0])
     placed_at = seen - way[:, None] * start
     middle = 0.5 * (np.quantile(placed_at[on], 0.01, axis=0) + np.quantile(placed_at[on], 0.99, axis=0))
@@ -186,17 +191,17 @@ def _started(
     for yaw in _YAWS_DEG:
         pose = np.array([0.0, 0.0, math.radians(yaw), middle[0], middle[1], plane[0]])
         off = surface(_in_body(placed_at[some], pose))
-        score = float(np.median(np.abs(off)))
+        score = float(np.nanmedian(np.abs(off)))
         if score < least:
             best, least = pose, score
-    return start, best, length
+    may_be = np.arange(len(seen)) if isinstance(target, Pyramid) else np.flatnonzero(on)
+    return start, best, length, may_be[:: max(1, may_be.size // (6 * _POINTS))]
 
 
 def _fitted(
-    unknowns: Floats, seen: Floats, way: Floats, surface: Distances, length: float
+    unknowns: Floats, seen: Floats, way: Floats, surface: Distances, length: float, some: Integers
 ) -> tuple[Floats, Any]:
-    """Fit motion and pose; give them and the points that count."""
-    some = np.arange(len(seen))[:: max(1, len(seen) // (6 * _POINTS))]
+    """Fit motion and pose to some points; give them and the points that count."""
     limit = 0.1 * length
     kept = some
     for round_ in range(_ROUNDS):
@@ -274,7 +279,7 @@ _SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
 
 def _balls(target: SpherePlate) -> Distances:
-    """Distances from the nearest ball; NaN below a third of its upper half, where plate and rim are."""
+    """Distances from the nearest ball."""
     radius = 0.5 * target.diameter_mm
     first = -0.5 * target.pitch_mm * np.array([target.columns - 1, target.rows - 1])
 
@@ -284,8 +289,7 @@ def _balls(target: SpherePlate) -> Distances:
         away = points.copy()
         away[:, :2] -= first + target.pitch_mm * nearest
         away[:, 2] -= target.centre_height_mm
-        off = np.sqrt((away**2).sum(axis=1)) - radius
-        return np.where(away[:, 2] > 0.33 * radius, off, np.nan)
+        return np.asarray(np.sqrt((away**2).sum(axis=1)) - radius)
 
     return distances
 
@@ -294,6 +298,13 @@ def _height(target: Pyramid | SpherePlate) -> float:
     if isinstance(target, Pyramid):
         return target.height_mm
     return target.centre_height_mm + 0.5 * target.diameter_mm
+
+
+def _cut(target: Pyramid | SpherePlate) -> float:
+    """Give the height over the belt from which points are the body's own, and neither rim nor plate, mm."""
+    if isinstance(target, Pyramid):
+        return 0.3 * target.height_mm
+    return target.centre_height_mm + _BALL_SHARE * 0.5 * target.diameter_mm
 
 
 def _length(target: Pyramid | SpherePlate) -> float:

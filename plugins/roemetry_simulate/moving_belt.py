@@ -9,6 +9,8 @@ followed downwards to the body's surface or the belt; the point counts if projec
 
 with the angle of incidence i and the line's width s in px: a thousandth of the time of the ray caster, with
 the same geometry, noise of the sensor and blur along the line. Left out: texture, gloss, reflections.
+
+A head below the belt is the same rig turned about X: it sees the product's underside in a gap, and no belt.
 """
 
 from __future__ import annotations
@@ -40,6 +42,7 @@ Floats = NDArray[np.float64]
 
 _BLUR_ROWS = 7
 """Rows that a lens blurs over, at most."""
+_UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
 _BESIDE_PX = 20.0
 """Half the distance of the two places that give a row's line in the plane of light, px."""
 
@@ -60,6 +63,11 @@ class ScanPart(Part):
     slip_share: float = Field(
         default=0.0, gt=-1, lt=1, description="in the middle third the product goes so much further"
     )
+    below_mm: float | None = Field(
+        default=None, gt=0, le=1000,
+        description="the head looks up through a gap in the belt: its own frame, Z down, begins so far above "
+        "the belt, mm; default: it looks down",
+    )  # fmt: skip
     line_sigma_px: float = Field(default=1.6, gt=0, description="width of the line (standard deviation), px")
 
 
@@ -137,13 +145,18 @@ class MovingBelt(Simulator[MovingBeltOptions]):
         """Give of each line (stripe, row) where it shows, px, NaN nowhere, and how brightly, 0 to 1."""
         solid: Solid = EmptyBelt() if drawn is None else drawn.solid
         body, camera, laser = solid.body(), self._rig.camera, self._rig.laser
+        below_mm = self.options.scan.below_mm
+        side, turn, place = 1.0, np.eye(3), np.zeros(3)
+        if below_mm is not None:
+            side, turn, place = -1.0, _UPSIDE_DOWN, np.array([0.0, 0.0, below_mm])
+        normals = laser.normals @ turn
         for shift in self.belt(drawn, seed)[1]:
+            to = place - shift
             packed = camera.packed()
-            packed[:3] -= shift
-            offsets = laser.offsets_mm - laser.normals @ shift
+            packed[:3] = turn @ camera.centre_mm + to
             yield _cross(
-                body, packed, camera.rotation, laser.projector_mm - shift, laser.normals, offsets,
-                camera.height_px, camera.width_px, camera.distorts,
+                body, packed, turn @ camera.rotation, turn @ laser.projector_mm + to, normals,
+                laser.offsets_mm + normals @ to, camera.height_px, camera.width_px, camera.distorts, side,
             )  # fmt: skip
 
     def frames(self, drawn: Drawn | None, seed: int) -> Iterator[tuple[Floats, Floats, NDArray[Any]]]:
@@ -182,10 +195,10 @@ class MovingBelt(Simulator[MovingBeltOptions]):
 
     def calibration_truth(self, seed: int) -> Mapping[str, Any]:
         """Give the true rig, where each target lay, and how the belt runs."""
-        scan = self.options.scan
+        along, across = self.options.scan.mm_per_count
         return {
             **calibration_truth_of(self.options, self._rig, seed),
-            "mm_per_count": [*scan.mm_per_count, 0.0],
+            "mm_per_count": [along, across if self.options.scan.below_mm is None else -across, 0.0],
         }
 
     @property
@@ -205,14 +218,15 @@ class MovingBelt(Simulator[MovingBeltOptions]):
 @kernel
 def _cross(
     body: AnyBody, pinhole: Floats, rotation: Floats, projector: Floats, normals: Floats, offsets: Floats,
-    rows: int, columns: int, distorts: bool,
+    rows: int, columns: int, distorts: bool, side: float,
 ) -> tuple[Floats, Floats]:  # fmt: skip
+    """Give where planes of light show, and how brightly; `side` is 1 for a head above, −1 for one below."""
     count = offsets.size
     found, bright = np.full((count, rows), np.nan), np.zeros((count, rows))
     near, far, d, o = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
     view, point, normal, beam, scratch = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
     reach = body.reach
-    top = max(reach[5], 0.0) + 1.0
+    start = max(reach[5], 0.0) + 1.0 if side > 0.0 else -1.0
     for i in range(count):
         n, offset = normals[i], offsets[i]
         guess = 0.5 * columns
@@ -227,15 +241,15 @@ def _cross(
                     d[k] = far[k] - near[k]
                     length += d[k] * d[k]
                 length = math.sqrt(length)
-                if d[2] > 0.0:
+                if side * d[2] > 0.0:
                     length = -length
                 for k in range(3):
                     d[k] /= length
-                if d[2] > -1e-6:
+                if side * d[2] > -1e-6:
                     good = False
                     break
                 for k in range(3):
-                    o[k] = near[k] + (top - near[2]) / d[2] * d[k]
+                    o[k] = near[k] + (start - near[2]) / d[2] * d[k]
                 on = first_hit_in(body, reach, o, d, 1e-9, point)
                 if on < 0:
                     good = False

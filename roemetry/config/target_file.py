@@ -92,7 +92,10 @@ class SpherePlateFile(Section):
     rows: int = Field(ge=1, le=50, description="balls along y")
     pitch_mm: float = Field(gt=0, description="from ball to ball, mm")
     diameter_mm: float = Field(gt=0, description="of a ball, mm")
-    centre_height_mm: float = Field(gt=0, description="of the balls' centres over what it lies on, mm")
+    centre_height_mm: float = Field(
+        gt=-1000, le=1000,
+        description="of the balls' centres over the plane beside them, mm; below 0: under the plate's face",
+    )  # fmt: skip
     tolerance_mm: float = Field(default=0.02, ge=0, description="half width of each length's tolerance, mm")
 
 

@@ -11,6 +11,7 @@ sphere             a ball on the belt, or its cap of a given height, flat side d
 cylinder           lies along its own x, whole, or half of it, flat side down
 ball-bar           two balls on the belt, joined by a thinner rod between their centres
 truncated-pyramid  a rectangular base and a smaller level top, both about one middle
+ball-plate         balls in a square grid, halfway in a plate over the belt: seen from above and below
 =================  ================================================================================
 """
 
@@ -124,6 +125,26 @@ class PyramidOptions(ArtefactOptions):
     height_mm: float = Field(default=18.0, gt=0, le=2000, description="height, mm")
 
 
+class BallPlateOptions(ArtefactOptions):
+    """Options of `ball-plate`."""
+
+    columns: int = Field(default=3, ge=1, le=20, description="balls along its own x")
+    rows: int = Field(default=2, ge=1, le=20, description="balls along its own y")
+    pitch_mm: float = Field(default=18.0, gt=0, le=500, description="from ball to ball, mm")
+    ball_radius_mm: float = Field(default=6.0, gt=0, le=200, description="radius of a ball, mm")
+    margin_mm: float = Field(default=2.0, ge=0, le=500, description="plate beyond the outer balls, mm")
+    thickness_mm: float = Field(default=3.0, gt=0, le=100, description="of the plate, mm")
+    height_mm: float = Field(default=20.0, gt=0, le=2000, description="of the balls' middles, mm")
+
+    @model_validator(mode="after")
+    def _balls_show(self) -> Self:
+        if not 0.5 * self.thickness_mm < self.ball_radius_mm <= min(self.height_mm, 0.5 * self.pitch_mm):
+            raise ValueError(
+                "ball_radius_mm: expected above thickness_mm / 2, at most pitch_mm / 2, height_mm"
+            )
+        return self
+
+
 def block(options: BlockOptions, pose: Pose) -> Solid:
     """Return the block."""
     return Block(options.length_mm, options.width_mm, options.height_mm, *pose)
@@ -220,6 +241,22 @@ def truncated_pyramid(options: PyramidOptions, pose: Pose) -> Solid:
     return _solid([part], pose, volume, volume, a * b, _rectangle(a, b), h)
 
 
+def ball_plate(options: BallPlateOptions, pose: Pose) -> Solid:
+    """Return the plate: true = a b t + 2 n c, visible = a b (z + t / 2) + n c, with the cap c of a ball."""
+    r, z, t = options.ball_radius_mm, options.height_mm, options.thickness_mm
+    many = np.array([options.columns, options.rows])
+    first = -0.5 * options.pitch_mm * (many - 1)
+    a, b = (2.0 * (r + options.margin_mm - first)).tolist()
+    parts = [box((-a / 2, a / 2), (-b / 2, b / 2), (z - t / 2, z + t / 2))] + [
+        [ball(first[0] + i * options.pitch_mm, first[1] + j * options.pitch_mm, z, r)]
+        for i in range(options.columns)
+        for j in range(options.rows)
+    ]
+    caps = options.columns * options.rows * math.pi * (r - t / 2) ** 2 * (2.0 * r + t / 2) / 3.0
+    visible = a * b * (z + t / 2) + caps
+    return _solid(parts, pose, visible, a * b * t + 2.0 * caps, a * b, _rectangle(a, b), z + r)
+
+
 def _rectangle(length_mm: float, width_mm: float) -> tuple[float, float]:
     return 0.5 * length_mm, 0.5 * width_mm
 
@@ -244,6 +281,7 @@ _SHAPES: dict[str, tuple[str, type[ArtefactOptions], Callable[[Any, Pose], Solid
     "cylinder": ("a lying cylinder, half or whole", CylinderOptions, cylinder),
     "ball-bar": ("two balls joined by a rod above the belt", BallBarOptions, ball_bar),
     "truncated-pyramid": ("a truncated pyramid", PyramidOptions, truncated_pyramid),
+    "ball-plate": ("balls halfway in a plate", BallPlateOptions, ball_plate),
 }
 
 

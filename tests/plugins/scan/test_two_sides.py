@@ -152,11 +152,31 @@ def test_two_recipes_and_a_plate_give_the_true_volume(tmp_path: Path) -> None:
     )  # fmt: skip
     table = tmp_path / "true.csv"
     two_sides(head(tmp_path, "top", ellipsoid), head(tmp_path, "bottom", ellipsoid), told, table)
-    cm3, std, low, high, reason = table.read_text().splitlines()[1].split(",")[1:]
+    cm3, std, low, high, *_, reason = table.read_text().splitlines()[1].split(",")[1:]
     assert float(cm3) == pytest.approx(TRUE / 1000.0, rel=5e-3)
     assert float(low) < TRUE / 1000.0 < float(high)
     assert float(std) < 0.02 * TRUE / 1000.0
     assert not reason
+
+
+def test_the_shipped_potatoes_have_their_true_volumes(tmp_path: Path) -> None:
+    home = Path(__file__).resolve().parents[3] / "recipes" / "two_heads"
+    table = tmp_path / "true.csv"
+    two_sides(home / "heads" / "top.yaml", home / "heads" / "bottom.yaml", home / "registration.yaml", table)
+    for line, true in zip(table.read_text().splitlines()[1:], (35.452, 37.550), strict=True):
+        cm3, _, low, high = (float(value) for value in line.split(",")[1:5])
+        assert cm3 == pytest.approx(true, rel=5e-3)
+        assert low < true < high
+
+
+def test_a_product_that_a_head_saw_the_end_of_only_has_no_true_volume() -> None:
+    side = begun_at(100.0)
+    assert side.scan is not None
+    begun = replace(side, scan=replace(side.scan, lines=61))  # its last one lies amid the product
+    pose = FLIPPED.copy()
+    pose[2, 3] = 20.0
+    with pytest.raises(StageError, match="begins or ends within"):
+        closed_volume(begun, side, Registration(pose, 0.005, 9, (100.0, 100.0)))
 
 
 def test_heads_without_a_common_plate_are_refused() -> None:
