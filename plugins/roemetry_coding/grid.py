@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from roemetry.errors import StageError
-from roemetry.records import Peaks, Reason, StripeMap
+from roemetry.records import SATURATED, Peaks, Reason, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.records.stripes import AMBIGUOUS, NOTHING
@@ -44,6 +44,8 @@ _CROSSINGS_MIN = 2
 """At which a run that was refused must name the same plane."""
 _CONTRADICTED_MAX = 0.25
 """Share of crossings that may disagree: beyond it neither family can be trusted."""
+_WHITE_MAX = 0.3
+"""Share of saturated peaks, beyond which saturation is the reason to give for that."""
 
 
 class GridPlanes(Coder[PlanesOptions]):
@@ -80,6 +82,13 @@ class GridPlanes(Coder[PlanesOptions]):
         if not met.agree.size:
             raise StageError("no line crosses one of the other family", hint="is this an image of a grid?")
         if met.agree.mean() < 1.0 - _CONTRADICTED_MAX:
+            white = float(np.mean((np.append(peaks.flags, peaks.across.flags) & SATURATED) > 0))
+            if white > _WHITE_MAX:
+                raise StageError(
+                    f"{white:.0%} of the peaks are saturated, and heights of both families agree at "
+                    f"{met.agree.sum()} of {met.agree.size} crossings only",
+                    hint="shorten the exposure: where lines cross there is twice as much light",
+                )
             raise StageError(
                 f"where lines cross, both families agree on the height at {met.agree.sum()} of "
                 f"{met.agree.size} places only: image and calibration do not belong together",

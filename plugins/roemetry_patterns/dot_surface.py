@@ -34,6 +34,8 @@ _LEAST_STD_MM = 1e-3
 """Of a point, beside its neighbours."""
 _POINTS_MIN = 8
 """Six numbers of the quadratic are fitted."""
+_SLICES_MIN = 3
+"""Lines that show something of the product: a cross hair has two."""
 _RIM_POINTS = 60
 _NODES = 40, 12
 """Lines over the footprint, nodes on each (Gauss)."""
@@ -213,6 +215,15 @@ def _scene_of(product: Product) -> _Scene:
     xyz, std = profiles.xyz_mm[on], profiles.height_std_mm[on]
     if len(xyz) < _POINTS_MIN:
         raise StageError(f"{len(xyz)} points lie on the product, {_POINTS_MIN} are the least")
+    lines = int(on.any(axis=1).sum())
+    if lines < _SLICES_MIN and product.calibration.rays is None:
+        low, high = xyz.min(axis=0), xyz.max(axis=0)
+        raise StageError(
+            f"{lines} of the lines lie on the product, {_SLICES_MIN} are the least: they show where it lies, "
+            f"X = {low[0]:.1f} to {high[0]:.1f} mm, Y = {low[1]:.1f} to {high[1]:.1f} mm, up to "
+            f"Z = {high[2]:.1f} mm, and not its volume",
+            hint="throw more lines, or dots; a cross hair shows a position",
+        )
     every_xy = xyz[:, :2]
     xyz, std = _pooled(xyz, np.nan_to_num(std, nan=_FLAT_STD_MM), np.argwhere(on))
     # the order of slices shall not matter, nor which of many points are left out

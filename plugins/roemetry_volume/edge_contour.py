@@ -163,7 +163,8 @@ class EdgeContour(Outliner[EdgeContourOptions]):
             light, on_stripes = _ambient(_one(chosen.pixels), spacing)
             level = _over_belt(light, dark, product)
         taken_out = None if on_stripes is None else on_stripes.astype(np.float32)
-        larger = _shown_larger(level, known, spacing) if use_plain and known else {}
+        many = stripes.stripe_count > 1
+        larger = _shown_larger(level, known, spacing) if use_plain and known and many else {}
         outlines = []
         for number, region in (known or _cores(level)).items():
             if not _is_clear(level, region):
@@ -291,7 +292,7 @@ def _shown_larger(
 ) -> dict[int, Reason]:
     """Say of which products the plain image shows a body that goes on far beyond what any stripes show.
 
-    A body may end up to one spacing beyond its stripes.
+    A body may end up to one spacing beyond its stripes. Of a single stripe nobody knows how far: it has none.
     """
     import cv2
 

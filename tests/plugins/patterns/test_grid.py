@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,7 +23,7 @@ from roemetry_patterns.dot_surface import _pooled
 from roemetry_peaks.grid_lines import GridLines
 from roemetry_pinhole.grid_calibrator import _turning
 from roemetry_pinhole.grid_planes import ACROSS, turned_parameters
-from roemetry_pinhole.pinhole_plane import points_of
+from roemetry_pinhole.pinhole_plane import points_of, view_of
 from roemetry_simulate.optics import turned
 from roemetry_simulate.scene import camera_of
 
@@ -117,6 +119,48 @@ def test_the_recipe_finds_the_volume() -> None:
     assert product.volume is not None
     # the truth of the item, to 0.5 %
     assert product.volume.visible_mm3.value == pytest.approx(105597.0, rel=0.005)
+
+
+def test_a_cross_hair_shows_a_position_and_no_volume(tmp_path: Path) -> None:
+    sets = ["laser.planes=1", "laser.grid={lines: 1}", "draft=true"]
+    scene = Scene.load(GRID / "simulated.yaml", sets=[f"simulator.options.{one}" for one in sets]).make()
+    truth = scene.simulate(0, 41)
+    path = tmp_path / "calibration.yaml"
+    _of_one_and_one(Calibration.load(GRID / "calibration.yaml")).save(path)
+    recipe = Recipe.load(GRID, sets=["uncertainty=none", f"calibration={path}"])
+    laser, plain = (
+        next(frame.pixels for frame in truth.frames if frame.role == role) for role in ("laser", "plain")
+    )
+    (product,) = recipe.measure(laser, plain=plain)
+    assert product.volume is None
+    said = str(product.absent["volume"])
+    assert "2 of the lines lie on the product" in said and "not its volume" in said
+    assert truth.truth.stripes is not None
+    place, on = truth.truth.stripes.xyz_mm, truth.truth.stripes.on_product
+    low, high = place[on].min(axis=0), place[on].max(axis=0)
+    found = [float(number) for number in re.findall(r"Y = (\S+) to (\S+) mm, up to Z = (\S+) mm", said)[0]]
+    assert found == pytest.approx([low[1], high[1], high[2]], abs=1.0)  # mm
+
+
+def _of_one_and_one(grid: Calibration) -> Calibration:
+    """Leave of the calibration of a grid of 15 × 11 lines the middle line of each family, without errors."""
+    assert grid.across is not None
+    both = {**grid.parameters, "planes_per_mm": grid.parameters["planes_per_mm"][7:8]}
+    both[ACROSS] = both[ACROSS][5:6]
+
+    def left(one: Calibration, parameters: dict[str, Any], at: int) -> Calibration:
+        many = sum(array.size for array in parameters.values())
+        return replace(
+            one,
+            rest_px=one.rest_px[at : at + 1],
+            displacement_px_per_mm=one.displacement_px_per_mm[at : at + 1],
+            parameters=parameters,
+            covariance=np.zeros((many, many)),
+            view=view_of(parameters, one.image_size),
+        )
+
+    across = left(grid.across, turned_parameters(both, grid.image_size[1]), 5)
+    return replace(left(grid, both, 7), across=across)
 
 
 @pytest.mark.parametrize("simulator", ["moving-belt", "mitsuba"])

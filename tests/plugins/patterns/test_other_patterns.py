@@ -1,0 +1,114 @@
+"""Images that are not of the pattern that was calibrated, and spoiled ones: refused, each with its reason."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from roemetry.errors import StageError
+from roemetry.records import Frame, Sensor, StripeMap
+from roemetry.records.calibration import Calibration
+from roemetry_coding.grid import GridPlanes
+from roemetry_patterns.dot_centres import DotCentres
+from roemetry_patterns.epipolar_dots import EpipolarDots
+from roemetry_peaks.grid_lines import GridLines
+
+Pixels = NDArray[np.uint8]
+_DARK = 2
+
+
+@pytest.fixture(scope="module")
+def grid() -> Pixels:
+    """A potato under the grid."""
+    return _read(Path("recipes/potato_grid/images/potato_02.png"))
+
+
+@pytest.fixture(scope="module")
+def dots() -> Pixels:
+    """A potato under the dots."""
+    return _read(min(Path("recipes/potato_dots/images").glob("*.png")))
+
+
+def _read(path: Path) -> Pixels:
+    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert pixels is not None
+    return np.asarray(pixels, np.uint8)
+
+
+def _on_its_side(pixels: Pixels) -> Pixels:
+    """Rows and columns exchanged, with dark where the image is wider than high."""
+    side = 0.5 * (pixels.shape[1] - pixels.shape[0])
+    swapped = pixels.T[int(side) : int(side) + pixels.shape[0]]
+    return cv2.copyMakeBorder(swapped, 0, 0, int(side), int(side), cv2.BORDER_CONSTANT, value=[_DARK])
+
+
+_calibration = lru_cache(Calibration.load)
+"""Files of rays are large: each is read once."""
+
+
+def _as_grid(pixels: Pixels) -> StripeMap:
+    frame = Frame(np.ascontiguousarray(pixels), sensor=Sensor(0.0255, 0.2))
+    return GridPlanes().code(GridLines().extract(frame), _calibration("recipes/potato_grid/calibration.yaml"))
+
+
+def _as_dots(pixels: Pixels) -> StripeMap:
+    frame = Frame(np.ascontiguousarray(pixels), sensor=Sensor(0.0255, 0.2))
+    return EpipolarDots().code(
+        DotCentres().extract(frame), _calibration("recipes/potato_dots/calibration.yaml")
+    )
+
+
+def test_a_grid_whose_rows_and_columns_are_exchanged_is_refused(grid: Pixels) -> None:
+    with pytest.raises(StageError, match="no stripe lies where the 15 rest lines are"):
+        _as_grid(_on_its_side(grid))
+
+
+def test_dots_whose_rows_and_columns_are_exchanged_are_refused(dots: Pixels) -> None:
+    with pytest.raises(StageError, match="lie where a ray"):
+        _as_dots(_on_its_side(dots))
+
+
+def test_half_of_the_dots_is_refused(dots: Pixels) -> None:
+    count, label = cv2.connectedComponents((dots > 20).astype(np.uint8))
+    gone = np.isin(label, np.arange(1, count, 2)).astype(np.uint8)
+    left = np.where(cv2.dilate(gone, np.ones((7, 7))) > 0, _DARK, dots).astype(np.uint8)
+    with pytest.raises(StageError, match=r"dots are seen on 399 rays"):
+        _as_dots(left)
+
+
+def test_dots_are_no_grid_and_a_grid_is_no_dots(grid: Pixels, dots: Pixels) -> None:
+    with pytest.raises(StageError, match="no stripe lies where the 15 rest lines are"):
+        _as_grid(dots)
+    with pytest.raises(StageError, match="another pattern"):
+        _as_dots(grid)
+
+
+def test_lines_of_one_family_are_no_grid(grid: Pixels) -> None:
+    # what is left where the image is as bright as its rows' neighbours: the lines that cross rows
+    upright = cv2.erode(grid, np.ones((9, 1), np.uint8))
+    with pytest.raises(StageError, match="lines across"):
+        _as_grid(upright)
+
+
+def test_a_saturated_grid_is_said_to_be_saturated(grid: Pixels) -> None:
+    with pytest.raises(StageError, match="of the peaks are saturated"):
+        _as_grid(np.clip(4.0 * grid, 0, 255).astype(np.uint8))
+
+
+def test_two_dots_that_have_merged_are_not_used_and_spoil_no_other(dots: Pixels) -> None:
+    alone = _as_dots(dots)
+    label, centre = cv2.connectedComponentsWithStats((dots > 20).astype(np.uint8))[1::2]
+    near = (label == 150).astype(np.uint8)
+    spot = np.where(cv2.dilate(near, np.ones((7, 7))) > 0, dots, 0)
+    found = _as_dots(np.maximum(dots, np.roll(spot, 5, axis=1)))
+    x, y = centre[150]
+    assert alone.dots is not None and found.dots is not None
+    beside = (np.abs(alone.x_px - x) < 12.0) & (np.abs(alone.dots.y_px - y) < 12.0)
+    assert beside.sum() == 1
+    assert not found.seen[beside].any()
+    assert (found.dots.line == alone.dots.line)[~beside].all()
