@@ -16,7 +16,8 @@ vanishes in the skirts, and the pixels that the model is worst at weigh most.
 d is measured before any fit, and separately from speckle: the mean light between 2 and 3.2 standard
 deviations on each side, less what a Gaussian of that width at half height has there, over a. Speckle and
 noise change from row to row and average out along a stripe; light from inside a body does not. So the
-excess is averaged over the rows next to each, and counts as far as it is larger than its own scatter allows.
+excess is averaged over the rows next to each, and counts as far as it is larger than its own scatter allows;
+half as much where farther rows do not show it, for neighbouring rows share their speckle.
 
 Light enters at an angle, so what is scattered comes out farther from the projector, and draws the fitted
 centre there. It draws the flanks less than the skirts: the two lean to opposite sides of the fit. So the
@@ -446,7 +447,14 @@ _ROWS_ABOVE, _ROWS_BELOW = 7, 6
 _ROWS_MIN = 5
 """Rows below which an average is not told from speckle."""
 _SCATTERS = 2.0
-"""Standard errors that count as chance: an opaque surface keeps d = 0 in all but about 5 % of its rows."""
+"""Standard errors that count as chance; speckle of contrast 0.25 exceeds them in 18 % of the rows, for it is
+shared by neighbours: see `_VOTES`."""
+_VOTERS, _VOTES = 30, 0.3
+"""Rows above or below, of this stripe and the next on both sides, of which so large a share must show more
+light beside the peak than chance, those that lack light taken off, or a row's model error is halved and is no
+light. Speckle's excess passes; a material's goes on, at the edge of a body to one side. Drawn stripes of
+speckle 0.25 then err by 0.176 in place of 0.185 px, and rendered tissue as before; with the error at 0,
+tissue under crowded stripes errs 8 % more."""
 _START_ERROR = 0.015
 """Excess over the peak's height that counts as an error of the start's width and of pixels that integrate: on
 drawn Gaussians of σ 1.5 to 5 px it stays below that; skirts of tissue are 0.02 to 0.1."""
@@ -526,6 +534,7 @@ def model_error(
         if known:
             error2[p] = sum2 / known
             lit[p] = sum2 > 0.0 and sum1 > 0.0
+    _doubt(error2, lit, row, down, up)
     # Where stripes crowd or are short, the same row's next stripes are most likely of the same material.
     filled = error2.copy()
     for p in range(peaks):
@@ -538,6 +547,25 @@ def model_error(
             filled[p] = 0.0  # what the rows above and below say is not of the part that is seen
         filled[p] *= _SHARE * _SHARE
     return filled, lit
+
+
+@float_kernel
+def _doubt(error2: Floats, lit: Flags, row: Integers, down: Integers, up: Integers) -> None:
+    """Halve the errors that rows farther up and down do not show, in place; they are no light."""
+    peaks = row.shape[0]
+    votes = np.zeros((peaks, 2))  # rows that tell, and those with light less those that lack it
+    for p in range(peaks):
+        for other in range(max(p - 1, 0), min(p + 2, peaks)):
+            if row[other] == row[p] and not math.isnan(error2[other]):
+                votes[p, 0] += 1.0
+                if error2[other] > 0.0:
+                    votes[p, 1] += 1.0 if lit[other] else -1.0
+    above, below = pooled(votes, up, down, _VOTERS, 0), pooled(votes, up, down, 0, _VOTERS)
+    for p in range(peaks):
+        side_up, side_down = above[p, 1] / max(above[p, 0], 1.0), below[p, 1] / max(below[p, 0], 1.0)
+        agree = max(side_up, side_down) if lit[p] else -min(side_up, side_down)
+        if agree < _VOTES:
+            error2[p], lit[p] = 0.25 * error2[p], False
 
 
 _FLANK = 0.5, 1.5

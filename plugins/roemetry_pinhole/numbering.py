@@ -456,8 +456,8 @@ def _too_few(
 ) -> CalibrationError:
     """Say which stripe is seen on too few boards, as far as that is known."""
     hint = (
-        "add poses in which the board lies under it; is `stripes` right? did one camera take all images, and "
-        "each pair in one pose?"
+        "add poses in which the board lies under it; is `stripes` right? is each laser image paired with the "
+        "board it was taken of, by one camera?"
     )
     once = [(int(number[plane]) + 1, names) for plane, names in enumerate(on) if len(names) == 1]
     if once and once[0][0] > 0:

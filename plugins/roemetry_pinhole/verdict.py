@@ -110,7 +110,8 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
             f"stripes and board corners contradict each other: for both to hold, stripes would have to err "
             f"{np.sqrt(adjusted.conflict):.0f} times as much as they scatter",
             hint="is each laser image paired with the board it was taken of, by one camera? did nothing move "
-            "between the two images of a pose? is the board flat?",
+            "between the two images of a pose? is the board flat? are its `pitch_mm` and `thickness_mm` "
+            "right?",
         )
     residuals: dict[str, float] = {}
     notes: list[str] = []
