@@ -480,7 +480,7 @@ class StationProcess:
     def _wanted(self) -> Path:
         """Give the recipe that was chosen on the page, where it is one of the line's; else the first."""
         try:
-            chosen = self._outbox.wished(self._name)
+            chosen = self._outbox.requested_recipe(self._name)
         except OutputError:
             chosen = None
         recipes = self._station.recipes

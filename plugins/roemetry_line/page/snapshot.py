@@ -31,7 +31,7 @@ def snapshot_of(line: Line, outbox: Outbox) -> dict[str, Any]:
             | {
                 "deadline_ms": one.section.deadline_ms,
                 "recipes": [str(path) for path in one.recipes],
-                "recipe": outbox.wished(one.name) or str(one.recipes[0]),
+                "recipe": outbox.requested_recipe(one.name) or str(one.recipes[0]),
                 "check": outbox.last_check(one.name),
             }
             for one in line.stations

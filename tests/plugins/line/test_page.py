@@ -75,7 +75,7 @@ def test_roles_may_do_what_they_may(at) -> None:
         assert (outbox.last_check("one") is None) == (name in (None, "vera")), name
         asked = client.post("/recipe/one", headers=headers, content=json.dumps({"recipe": other}))
         assert asked.status_code == chosen, name
-    assert outbox.wished("one") == other
+    assert outbox.requested_recipe("one") == other
     (alarm,) = (one for one in outbox.alarms() if one["n"] == number)
     assert alarm["acknowledged_by"] == "otto"
 
@@ -85,7 +85,7 @@ def test_a_recipe_that_is_none_of_the_lines_is_refused(at) -> None:
     headers = log_in(client, "erika")
     answer = client.post("/recipe/one", headers=headers, content=json.dumps({"recipe": "/etc/passwd"}))
     assert answer.status_code == 400
-    assert outbox.wished("one") is None
+    assert outbox.requested_recipe("one") is None
 
 
 @pytest.mark.parametrize(
