@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
+import shutil
 import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,15 +35,23 @@ stations:
 """
 
 
+@pytest.fixture(scope="module")
+def users_file(tmp_path_factory) -> Path:
+    """Three users: hashing their passwords takes long on purpose."""
+    folder = tmp_path_factory.mktemp("users")
+    for name, role in (("vera", "viewer"), ("otto", "operator"), ("erika", "engineer")):
+        path = set_password(folder, name, role, f"{name}'s word")
+    return path
+
+
 @pytest.fixture
-def at(line):
+def at(line, users_file):
     recipe = line()
     (recipe.parent / "other.yaml").write_text(recipe.read_text("utf-8"), "utf-8")
     (recipe.parent / "line.yaml").write_text(LINE, "utf-8")
     loaded = Line.load(recipe.parent / "line.yaml")
     outbox = Outbox(loaded.folder)
-    for name, role in (("vera", "viewer"), ("otto", "operator"), ("erika", "engineer")):
-        set_password(loaded.folder, name, role, f"{name}'s word")
+    shutil.copy(users_file, loaded.folder)  # with its mode
     page = LinePage(loaded, outbox, Users(loaded.folder))
     return (
         loaded,
