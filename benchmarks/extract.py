@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from itertools import chain
 
 import cv2
 import numpy as np
@@ -24,7 +25,7 @@ from benchmarks.extraction.first import startup
 from benchmarks.extraction.methods import TOLD, Method, frame_of, measured_beforehand, methods
 from benchmarks.extraction.precision import close_together, precision, two_materials
 from benchmarks.extraction.speed import frame_after_frame, speed
-from benchmarks.extraction.tables import Table, machine, put_into_page
+from benchmarks.tables import Table, put_tables
 from roemetry.records import Frame
 
 SEED = 40_000
@@ -75,9 +76,8 @@ def main() -> None:
     for name, why in left_out.items():
         print(f"left out: {name}: {why}", file=sys.stderr)
     if given.page:
-        how = f"Measured by `python -m benchmarks extract {' '.join(sys.argv[1:])}` on {machine()}."
-        how += "".join(f" Left out: {name} ({why})." for name, why in left_out.items())
-        put_into_page([table for tables in made.values() for table in tables], how)
+        without = "".join(f" Left out: {name} ({why})." for name, why in left_out.items())
+        put_tables(chain.from_iterable(made.values()), "extract", " ".join(sys.argv[1:]), without)
 
 
 def unknown(finding: list[Method], count: int, seed: int) -> list[Table]:

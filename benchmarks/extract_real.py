@@ -16,15 +16,14 @@ from typing import Any
 import cv2
 
 from benchmarks.extraction.methods import extractors
-from benchmarks.extraction.tables import Table, machine, put_into_page
 from benchmarks.real_images.boards import boards
 from benchmarks.real_images.weld import weld
 from benchmarks.real_images.wheelset import wheelset
+from benchmarks.tables import Table, put_tables
 from roemetry.stages import Extractor
 
 _THRESHOLD = 20.0
 PARTS = {"wheelset": wheelset, "weld": weld, "boards": boards}
-BLOCK = "extract_real"
 
 
 def main() -> None:
@@ -47,7 +46,7 @@ def main() -> None:
         else:
             print(f"skipped: {part}: {table}", file=sys.stderr)
     if given.page and tables:
-        put_into_page(tables, f"Measured by `python -m benchmarks extract_real` on {machine()}.", BLOCK)
+        put_tables(tables, "extract_real")
 
 
 def chosen(words: Sequence[str]) -> Iterator[tuple[str, Extractor[Any]]]:

@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks.grading.bodies import CLASSES, Body
 from benchmarks.grading.judges import GOOD, SHOWN_MM, fitted_limits, fitted_model, judges_of, samples_of
 from benchmarks.grading.scores import UNKNOWN, Judged, judged_by
-from benchmarks.grading.strangers import strangers
+from benchmarks.grading.unseen_products import unseen_products
 from benchmarks.grading.virtual_rig import draw_rig
 from benchmarks.grading.virtual_rows import (
     KINDS,
@@ -44,7 +44,7 @@ MODEL = Path("recipes/herring_roe/classifier.json")
 LEARN_FROM = {"ours": 200000, "second": 110000, "lofted": 700000}
 TEST_FROM = {"ours": 930000, "lofted": 310000}
 TRACED_FROM = {"recipe-like": 80700, "dense": 72100}
-STRANGERS_FROM = 66100
+UNSEEN_FROM = 66100
 RENDERED_RIGS = 20
 NAMES = {
     "ours": "our skeins, random rigs",
@@ -60,7 +60,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bodies", type=int, default=440, help="to learn from, of each family")
     parser.add_argument("--test", type=int, default=110, help="bodies of each test")
-    parser.add_argument("--strangers", type=int, default=4, help="of each family that is no skein")
+    parser.add_argument("--unseen", type=int, default=4, help="of each family that is no skein")
     parser.add_argument("--rendered", type=Path, help="folder of a rendered set, with `objects/`")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-traced")
     parser.add_argument("--model", type=Path, default=MODEL)
@@ -82,7 +82,7 @@ def main() -> None:
     print(_reliability({name: judged_by(judges["`learned`"], rows) for name, rows in tests.items()}))
     print(few_table(given.rendered, given.model))
     print(spread_table(given.rendered))
-    print(strangers(given.model, range(STRANGERS_FROM, STRANGERS_FROM + given.strangers), given.cache))
+    print(unseen_products(given.model, range(UNSEEN_FROM, UNSEEN_FROM + given.unseen), given.cache))
 
 
 def _tests(count: int, rendered: Path | None, cache: Path) -> dict[str, Sequence[Row]]:

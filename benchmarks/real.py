@@ -27,10 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.extraction.methods import extractors
-from benchmarks.extraction.tables import Table, machine, number, put_into_page
 from benchmarks.real_images import folder_of, prepared
 from benchmarks.real_images.boards import POSES, line_on_board
 from benchmarks.real_images.weld import line_of
+from benchmarks.tables import Table, number, put_tables
 from roemetry.errors import RoemetryError
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats
@@ -98,7 +98,7 @@ def main() -> None:
     tables.append(Table("one line, by the coder single", head, rows))
     print(tables[-1], flush=True)
     if given.page and rows:
-        put_into_page(tables, f"Measured by `python -m benchmarks real` on {machine()}.", "real")
+        put_tables(tables, "real")
 
 
 def followed(known: Sequence[Known], stage: Extractor[Any]) -> list[str]:

@@ -33,8 +33,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.extraction.tables import Table
 from benchmarks.real_images import folder_of
+from benchmarks.tables import Table
 from roemetry.calibrating import calibrate_with_evidence
 from roemetry.config.rig import Rig, pose_of
 from roemetry.errors import RoemetryError

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import datetime
 import hashlib
+import importlib.metadata
 import json
+import math
+import platform
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,11 +19,36 @@ from typing import Any
 from roemetry_study.certificate import software_sha256
 from roemetry_tools.compare.agreement import Interval
 
+EXTRACTION = Path("docs/measurements/extraction.md")
+
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Write a table."""
     lines = [head, ["---"] * len(head), *rows]
     return "".join("| " + " | ".join(cells) + " |\n" for cells in lines)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A title, column names, rows of cells."""
+
+    title: str
+    columns: list[str]
+    rows: list[list[str]]
+
+    def __str__(self) -> str:
+        return f"**{self.title}**\n\n{table(self.columns, self.rows)}"
+
+
+def number(value: float, digits: int) -> str:
+    """Write a number; a dash where there is none."""
+    return "–" if math.isnan(value) else f"{value:.{digits}f}".replace("-", "−")
+
+
+def percent(part: int, whole: int) -> str:
+    """Write a share in percent, with two digits behind the point where it is small."""
+    value = 100.0 * part / max(whole, 1)
+    return f"{value:.2f}" if value < 10.0 else f"{value:.0f}"
 
 
 def share(part: int, whole: int) -> str:
@@ -86,3 +116,20 @@ def put_into(page: Path, parts: Mapping[str, str]) -> None:
             raise ValueError(f"{page}: there is no `{begin.strip()}` with `{end.strip()}` below it")
         text = f"{before}{begin}\n{part.rstrip()}\n\n{end}{rest}"
     page.write_text(text, "utf-8")
+
+
+def put_tables(tables: Iterable[Table], benchmark: str, arguments: str = "", left_out: str = "") -> None:
+    """Put a benchmark's tables, and how and where they were measured, into the page of extraction."""
+    command = f"python -m benchmarks {benchmark} {arguments}".rstrip()
+    how = f"Measured by `{command}` on {machine()}.{left_out}"
+    put_into(EXTRACTION, {benchmark: "\n".join([how + "\n", *map(str, tables)])})
+
+
+def machine() -> str:
+    """Say when and on what."""
+    versions = ", ".join(
+        f"{name} {importlib.metadata.version(name)}"
+        for name in ("numpy", "numba", "scipy", "opencv-contrib-python-headless")
+    )
+    day = datetime.datetime.now(datetime.UTC).date().isoformat()
+    return f"{day}, {platform.machine()}, Python {platform.python_version()}, {versions}"

@@ -49,7 +49,7 @@ def rewritten(page: str) -> str:
 
 
 def verbs() -> dict[str, Callable[..., Any]]:
-    """Give each verb's function, in the order in which the help lists them."""
+    """Give each command's function, in the order in which the help lists them."""
     functions = [command.callback for command in app.registered_commands if command.callback is not None]
     own = {function.__name__.replace("_", "-"): function for function in functions}
     for name, entry in plugin_verbs().items():
@@ -78,7 +78,7 @@ def main() -> None:
 def _made(what: str) -> str:
     if what == "verbs":
         return _table(
-            ["verb", "does"],
+            ["command", "does"],
             (
                 [f"[`{name}`]({_anchor(name)})", _plain(_first(inspect.getdoc(verb) or ""))]
                 for name, verb in verbs().items()

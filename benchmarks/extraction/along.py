@@ -12,7 +12,7 @@ from benchmarks.extraction.drawing import CONTRAST, SIZES, Drawn, Light, Stripes
 from benchmarks.extraction.methods import extractors, found_in, frame_of
 from benchmarks.extraction.precision import drawn_images
 from benchmarks.extraction.scoring import Hits, hits, rms
-from benchmarks.extraction.tables import Table, number
+from benchmarks.tables import Table, number
 from roemetry.records import NOTHING, StripeMap
 from roemetry.records.arrays import Floats
 from roemetry.stages import Extractor, Smoother

@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.extraction.drawing import Drawn, Light, Stripes, draw
 from benchmarks.extraction.methods import Method
 from benchmarks.extraction.scoring import hits, rms
-from benchmarks.extraction.tables import Table, number
+from benchmarks.tables import Table, number
 from roemetry.records.arrays import Floats
 
 PHASES = 10

@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.extraction.tables import Table, number
+from benchmarks.tables import Table, number
 
 MINIMAL = """
 import numpy as np

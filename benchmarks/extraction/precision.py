@@ -22,7 +22,7 @@ from benchmarks.extraction.drawing import (
 )
 from benchmarks.extraction.methods import Method
 from benchmarks.extraction.scoring import hits, rms
-from benchmarks.extraction.tables import Table, number, percent
+from benchmarks.tables import Table, number, percent
 from roemetry.records.arrays import Floats
 
 SLOW_IMAGES = 2

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.extraction.drawing import SIZES, drawn_set
 from benchmarks.extraction.methods import Method
-from benchmarks.extraction.tables import Table, number
+from benchmarks.tables import Table, number
 
 YARDSTICK = "OpenCV blur + dilate + log-parabola"
 _SLOW_S = 0.5

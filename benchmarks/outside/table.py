@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.extraction.tables import Table
 from benchmarks.outside.reading import NO_SKEIN
 from benchmarks.outside.scoring import CHAINS
+from benchmarks.tables import Table
 
 Row = Mapping[str, Any]
 

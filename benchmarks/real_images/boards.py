@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.extraction.tables import Table, number
 from benchmarks.real_images import folder_of, prepared, sound
+from benchmarks.tables import Table, number
 from roemetry.records.arrays import Floats
 from roemetry.stages import Extractor
 

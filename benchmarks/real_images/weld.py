@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.extraction.tables import Table, number, percent
 from benchmarks.real_images import folder_of, prepared, sound
+from benchmarks.tables import Table, number, percent
 from roemetry.errors import RoemetryError
 from roemetry.records import Peaks
 from roemetry.records.arrays import Floats

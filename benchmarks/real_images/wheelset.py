@@ -31,9 +31,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.extraction.tables import Table, number, percent
 from benchmarks.real_images import folder_of, prepared, sound
 from benchmarks.real_images.wheelset_points import have_stripe, verdicts
+from benchmarks.tables import Table, number, percent
 from roemetry.records import Frame
 from roemetry.stages import Extractor
 

@@ -29,7 +29,7 @@ class Control:
         found = {}
         for station in self._line.stations:
             known = [str(path) for path in station.recipes]
-            chosen = self._outbox.wished(station.name) or known[0]
+            chosen = self._outbox.requested_recipe(station.name) or known[0]
             found[station.name] = sorted(known, key=lambda path: path != chosen)
         return found
 

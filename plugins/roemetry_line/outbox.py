@@ -229,7 +229,7 @@ class Outbox:
         with self._lock, _named(self._path):
             self._db.execute("insert or replace into wishes values(?,?,?)", (station, recipe, who))
 
-    def wished(self, station: str) -> str | None:
+    def requested_recipe(self, station: str) -> str | None:
         """Give the recipe that is wanted of a station; None where nobody has said."""
         found = self._dicts("select recipe from wishes where station = ?", (station,))
         return str(found[0]["recipe"]) if found else None

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -16,11 +18,50 @@ from roemetry.errors import ConfigurationError, OutputError
 from roemetry.io.files import exclusive, make_folder
 from roemetry_line.line_file import Line
 from roemetry_line.log import log
-from roemetry_line.notify import UNIT, tell_systemd
 from roemetry_line.outbox import Outbox
 from roemetry_line.page.users import Role, set_password
 from roemetry_line.preflight import preflight
 from roemetry_line.process import runs_now, set_by
+
+UNIT = """\
+[Unit]
+Description=roemetry line {name}
+After=network-online.target
+Wants=network-online.target
+StartLimitIntervalSec=0
+
+[Service]
+Type=notify
+NotifyAccess=main
+ExecStart={python} -m roemetry serve {path} --start-anyway
+WorkingDirectory={home}
+Environment=NUMBA_CACHE_DIR={folder}/kernels
+TimeoutStartSec=600
+WatchdogSec=20
+Restart=always
+RestartSec=2
+CPUWeight=1000
+KillMode=mixed
+TimeoutStopSec=60
+ProtectSystem=strict
+ProtectHome=read-only
+ReadWritePaths={folder}
+PrivateTmp=yes
+NoNewPrivileges=yes
+
+[Install]
+WantedBy=multi-user.target
+"""
+
+
+def tell_systemd(what: str) -> None:
+    """Send a word such as ``READY=1``; nothing where systemd has not started this process."""
+    address = os.environ.get("NOTIFY_SOCKET")
+    if not address:
+        return
+    with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
+        out.sendto(what.encode(), "\0" + address[1:] if address[0] == "@" else address)
+
 
 _TICK_S = 0.2
 _RESTART_S = 0.5

@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,21 +27,44 @@ from roemetry.config.dataset import Item
 from roemetry.config.recipe import Recipe
 from roemetry.errors import FAULTS, DataError, OutputError, RoemetryError
 from roemetry.io.files import sha256_of
-from roemetry.records import Acquisition, AcquisitionReference, Frame, Reason, Trace
+from roemetry.records import Acquisition, AcquisitionReference, Frame, Reason, Role, Trace
 from roemetry.records.live import LiveFrame
 from roemetry.run.control_chart import calibration_doubts
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.record import recipe_of
 from roemetry.run.rows import failed, measurements_of
 from roemetry_line import line_file, runs
-from roemetry_line.block_checks import BlockChecks
-from roemetry_line.exposures import Exposures
-from roemetry_line.laser_health import LaserHealth
+from roemetry_line.block_checks import BlockChecks, LaserHealth
 from roemetry_line.live_view import LiveView
 from roemetry_line.log import log, log_libraries
 from roemetry_line.outbox import NewRow, Outbox
 from roemetry_line.process import alone, off_main_thread, settle, until_asked
 from roemetry_line.rows import Taken, Where, notice_row, product_rows
+
+
+class Exposures:
+    """Puts frames together, from when the camera is opened: its first frame is in the first light.
+
+    A frame that is lost or not whole takes its product with it; those that follow are in their light again.
+    """
+
+    def __init__(self, lights: Sequence[Role]) -> None:
+        """Make it; `lights` says what lights the scene, in the order in which frames are taken."""
+        self._lights = lights
+        self._count = 0
+        self._product = 0
+        self._kept: list[Frame] = []
+
+    def add(self, live: LiveFrame) -> tuple[Frame, ...] | None:
+        """Give the frames of a product with its last one; None before that."""
+        product, index = divmod(self._count + live.lost_before, len(self._lights))
+        self._count += live.lost_before + 1
+        if product != self._product:
+            self._product, self._kept = product, []
+        if live.frame is not None:
+            self._kept.append(replace(live.frame, role=self._lights[index]))
+        return tuple(self._kept) if len(self._kept) == len(self._lights) else None
+
 
 LATENCY_MS = (5.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 """Upper ends of the classes in which times from frame to outbox are counted, ms."""
@@ -457,7 +480,7 @@ class StationProcess:
     def _wanted(self) -> Path:
         """Give the recipe that was chosen on the page, where it is one of the line's; else the first."""
         try:
-            chosen = self._outbox.wished(self._name)
+            chosen = self._outbox.requested_recipe(self._name)
         except OutputError:
             chosen = None
         recipes = self._station.recipes

@@ -582,7 +582,7 @@ class Belt:
     rows: Integers
     """fragment, rows: (segment,) the trace a segment is a piece of; its length, rows."""
     anchored: Flags
-    """(segment,) True for belt beyond doubt."""
+    """(segment,) True for what is certainly belt."""
     on_line: Flags
     """(segment,) True for a piece that lies on some rest line."""
     live: Integers
@@ -623,7 +623,7 @@ class Belt:
 def belt_of(peaks: Peaks, fragment: Integers, fragments: int, line: Integers, stripes: int) -> Belt:
     """Cut traces at rest lines and find the belt.
 
-    A run on a rest line is belt beyond doubt if it reaches the image's top or bottom and no row speaks
+    A run on a rest line is certainly belt if it reaches the image's top or bottom and no row speaks
     against it. A body at a displacement of one stripe spacing lies on its neighbour's rest line, often right
     where that neighbour's belt ends; then its rows show a peak too many on one side and one too few on the
     other, and there the run is cut.

@@ -563,7 +563,7 @@ def take_off_glare(
     share_min
         Of the highest stripe's height: what is lower, such as ripples beside stripes, is not followed.
     row, flags, values
-        What `stripe_footing.stripes_around` fills, sorted; `GLARE` is added to `flags`.
+        What `peak_window.stripes_around` fills, sorted; `GLARE` is added to `flags`.
     """
     middles, widths = values[0], values[1]
     least = share_min * np.max(values[2])

@@ -21,7 +21,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
         kind="triangulator",
         name="pinhole-plane",
         target="roemetry_pinhole.pinhole_plane:PinholePlane",
-        summary="Each peak's straightened ray meets its stripe's plane of light",
+        summary="Each peak's undistorted ray meets its stripe's plane of light",
         reference="Hartley and Zisserman (2004), chapters 6 and 7; the lens model is OpenCV's",
     )
     yield StageEntry(
@@ -49,6 +49,6 @@ def roemetry_stages() -> Iterable[StageEntry]:
         kind="triangulator",
         name="pinhole-grid",
         target="roemetry_pinhole.grid_planes:PinholeGrid",
-        summary="Each peak's straightened ray meets its line's plane of light, of either family",
+        summary="Each peak's undistorted ray meets its line's plane of light, of either family",
         reference="Hartley and Zisserman (2004), chapters 6 and 7",
     )

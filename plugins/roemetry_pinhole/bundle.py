@@ -357,7 +357,7 @@ def robust_prefit(problem: Problem, geometry: Geometry) -> Geometry:
 
 
 def _reject_outliers(problem: Problem, geometry: Geometry) -> None:
-    """Give no weight to what is far off by the median's measure: squares of many strays would hide them all.
+    """Give no weight to what is far off by the median's measure: squares of many outliers hide them all.
 
     A stripe that would lose more than half is left as it is: it shall be named, not lost.
     """

@@ -4,7 +4,7 @@ The lines across are seen in the image turned by 90° counter-clockwise, x' = y 
 W pixels wide: the camera's axes turn to X' = Y, Y' = −X, its focal lengths change places, the principal
 point becomes (c_y, W − 1 − c_x), tangential distortion (p₁, p₂) becomes (−p₂, p₁), and a plane p·X = 1 of the
 camera's frame (p_y, −p_x, p_z). So a calibration of the turned image says the same in other words, and each
-peak's straightened ray meets its own plane of light (Hartley and Zisserman 2004, chapter 6) in the one belt
+peak's undistorted ray meets its own plane of light (Hartley and Zisserman 2004, chapter 6) in the one belt
 frame.
 """
 

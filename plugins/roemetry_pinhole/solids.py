@@ -270,7 +270,7 @@ def numbered(view: Observation, camera: Floats, stripes: int) -> Numbered:
 
 
 def belt_lines(bare: Numbered | None, view: Numbered, stripes: int, focal_px: float) -> Floats:
-    """Give (stripe, 2) start and slope of each stripe on the bare belt: x = start + slope · y, straightened.
+    """Give (stripe, 2) start and slope of each stripe on the bare belt: x = start + slope · y, undistorted.
 
     Without an image of the empty belt the first and last rows of the solid's image are taken as bare.
     """

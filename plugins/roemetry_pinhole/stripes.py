@@ -155,7 +155,7 @@ def _off(line: StripeLine, xy: Floats) -> Floats:
 
 
 def _fitted(part: Integers, xy: Floats, focal_px: float) -> StripeLine:
-    """Fit by least absolute deviations (reweighted), so that strays do not count."""
+    """Fit by least absolute deviations (reweighted), so that outliers do not count."""
     part = np.sort(part)
     x, y = xy[part, 0], xy[part, 1]
     weight = np.ones(part.size)

@@ -1,7 +1,7 @@
 """Studies of an instrument: gauge studies, acceptance tests, uncertainty, and their certificates.
 
 They work on what runs have recorded and on the user's own tables, by published methods, and use of the core
-what every Python program may use. Each verb of ``roemetry study`` is a module; `certificate` writes, signs
+what every Python program may use. Each command of ``roemetry study`` is a module; `certificate` writes, signs
 and verifies what they found.
 """
 

@@ -1,6 +1,6 @@
 """Tools around measuring: they plan, begin, tune and compare; the core knows nothing of them.
 
-They use what every Python program may use of the core. Each verb of the command line is a module or a folder
+They use what every Python program may use of the core. Each command is a module or a folder
 of its name.
 """
 

@@ -163,7 +163,7 @@ def _reachable(address: str) -> Iterator[None]:
     except (OSError, CancelledError) as error:
         raise InterruptedRunError(
             f"{address}: the cluster's scheduler is gone",
-            hint="what was done is whole; go on when it is back, with --resume if the verb has it",
+            hint="what was done is whole; go on when it is back, with --resume where offered",
         ) from error
 
 
@@ -268,7 +268,7 @@ def _wait_for(client: Any, future: Any) -> None:
             if time.monotonic() - alone_since > _PATIENCE_S:
                 raise InterruptedRunError(
                     f"the cluster has had no worker for {_PATIENCE_S:.0f} s",
-                    hint="what was done is whole; start workers and go on, with --resume if the verb has it",
+                    hint="what was done is whole; start workers and go on, with --resume where offered",
                 ) from error
 
 
@@ -303,7 +303,7 @@ def _warm(payload: bytes) -> Callable[[Any], Any]:
     if _sha256_of(software()) != software_sha256:
         raise PluginError(
             f"a worker on {platform.node()} that came later has other software than the run",
-            hint="take it out of the cluster, and go on, with --resume if the verb has it",
+            hint="take it out of the cluster, and go on, with --resume where offered",
         )
     worker: Callable[[Any], Any] = make(*given)
     return worker

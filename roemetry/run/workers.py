@@ -79,7 +79,7 @@ class Processes:
                     ) from None
                 raise InterruptedRunError(
                     "a worker process died (killed by the system, perhaps for want of memory)",
-                    hint="what was done is whole; go on with fewer --jobs, with --resume if the verb has it",
+                    hint="what was done is whole; go on with fewer --jobs, with --resume where offered",
                 ) from error
             finally:
                 pool.shutdown(cancel_futures=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -70,6 +71,7 @@ def rig(folder: Path, change: Callable[[Pixels], Pixels]) -> Path:
     return folder
 
 
+@cache
 def grades(folder: Path, sets: tuple[str, ...]) -> dict[str, str]:
     recipe = Recipe.load(folder, sets=sets)
     source, pipeline = recipe.source.make(), Pipeline(recipe)

@@ -39,7 +39,7 @@ RIGS = ["bread_roll/rig.yaml", "egg/rig.yaml", "herring_roe/boards.yaml"]
 FRUSTUM = {"length_mm": 40, "width_mm": 30, "top_share": 0.5, "height_mm": 12}
 PRODUCTS = 2
 WIDTHS = (1300, 420)
-"""A desk's and a telephone's, px."""
+"""A desk's and a telephone's, px. Paper is as wide whichever it was: each page is printed from the first."""
 
 OVERFLOW = """() => {
   const wide = document.documentElement.clientWidth, found = [];
@@ -153,8 +153,8 @@ def assert_prints(browser: Any, page_file: Path) -> None:
     for width in WIDTHS:
         with opened(browser, page_file.as_uri(), width=width) as page:
             assert_fits(page, page_file.name)
-    with opened(browser, page_file.as_uri()) as page:
-        assert len(page.pdf()) > 10_000
+            if width == WIDTHS[0]:
+                assert len(page.pdf()) > 10_000
 
 
 @pytest.fixture(scope="module", params=[*RECIPES, *OTHERS])
@@ -200,7 +200,8 @@ def test_a_report_turns_enlarges_and_prints(browser: Any, report: str, width: in
             assert_fits(page, report)
         page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
         assert page.locator("details:not([open])").count() == 0
-        assert len(page.pdf()) > 10_000
+        if width == WIDTHS[0]:
+            assert len(page.pdf()) > 10_000
 
 
 @pytest.mark.parametrize("width", WIDTHS)
@@ -212,7 +213,8 @@ def test_a_comparison_prints(browser: Any, recipe: Path, width: int) -> None:
     address = (out / "comparison.html").as_uri()
     with opened(browser, address, width=width) as page:
         assert_fits(page, address)
-        assert len(page.pdf()) > 10_000
+        if width == WIDTHS[0]:
+            assert len(page.pdf()) > 10_000
 
 
 @pytest.mark.parametrize("width", WIDTHS)
@@ -241,7 +243,8 @@ def test_a_calibration_page_prints(browser: Any, tmp_path: Path, rig: str) -> No
                 space.focus()
                 page.keyboard.press("ArrowLeft")
                 assert space.inner_html() != before
-            assert len(page.pdf()) > 10_000
+            if width == WIDTHS[0]:
+                assert len(page.pdf()) > 10_000
 
 
 @pytest.mark.parametrize("line", ["herring_roe", "potato"])
@@ -305,7 +308,8 @@ def test_the_page_of_a_line_shows_its_last_product(browser: Any, line: Callable[
                 page.get_by_text("the camera is gone").wait_for()
                 page.get_by_text("20.50 ± 0.40").wait_for()
                 assert_fits(page, "line")
-                assert len(page.pdf()) > 10_000
+                if width == WIDTHS[0]:
+                    assert len(page.pdf()) > 10_000
     finally:
         stop.set()
         serving.join(20)

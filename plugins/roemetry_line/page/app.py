@@ -29,9 +29,8 @@ from roemetry_line.feeds.image import decoded
 from roemetry_line.line_file import Line
 from roemetry_line.live_view import jpeg_of, picture_file, watch
 from roemetry_line.log import log
-from roemetry_line.metrics import metrics_of
 from roemetry_line.outbox import Outbox
-from roemetry_line.page.snapshot import snapshot_of
+from roemetry_line.page.snapshot import metrics_of, snapshot_of
 from roemetry_line.page.users import MAY, Role, Session, Users
 
 _STATIC = Path(__file__).parent / "static"

@@ -14,9 +14,8 @@ from roemetry.cli.main import app
 from roemetry.records import Frame
 from roemetry.run.control_chart import Chart
 from roemetry_line import line_file
-from roemetry_line.block_checks import BlockChecks
+from roemetry_line.block_checks import BlockChecks, LaserHealth
 from roemetry_line.history import checks_of
-from roemetry_line.laser_health import LaserHealth
 from roemetry_line.line_file import Line
 from roemetry_line.outbox import Outbox
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from roemetry.records import Frame
 from roemetry.records.live import LiveFrame
-from roemetry_line.exposures import Exposures
+from roemetry_line.station import Exposures
 
 
 @given(

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
+import shutil
 import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,15 +35,23 @@ stations:
 """
 
 
+@pytest.fixture(scope="module")
+def users_file(tmp_path_factory) -> Path:
+    """Three users: hashing their passwords takes long on purpose."""
+    folder = tmp_path_factory.mktemp("users")
+    for name, role in (("vera", "viewer"), ("otto", "operator"), ("erika", "engineer")):
+        path = set_password(folder, name, role, f"{name}'s word")
+    return path
+
+
 @pytest.fixture
-def at(line):
+def at(line, users_file):
     recipe = line()
     (recipe.parent / "other.yaml").write_text(recipe.read_text("utf-8"), "utf-8")
     (recipe.parent / "line.yaml").write_text(LINE, "utf-8")
     loaded = Line.load(recipe.parent / "line.yaml")
     outbox = Outbox(loaded.folder)
-    for name, role in (("vera", "viewer"), ("otto", "operator"), ("erika", "engineer")):
-        set_password(loaded.folder, name, role, f"{name}'s word")
+    shutil.copy(users_file, loaded.folder)  # with its mode
     page = LinePage(loaded, outbox, Users(loaded.folder))
     return (
         loaded,
@@ -75,7 +85,7 @@ def test_roles_may_do_what_they_may(at) -> None:
         assert (outbox.last_check("one") is None) == (name in (None, "vera")), name
         asked = client.post("/recipe/one", headers=headers, content=json.dumps({"recipe": other}))
         assert asked.status_code == chosen, name
-    assert outbox.wished("one") == other
+    assert outbox.requested_recipe("one") == other
     (alarm,) = (one for one in outbox.alarms() if one["n"] == number)
     assert alarm["acknowledged_by"] == "otto"
 
@@ -85,7 +95,7 @@ def test_a_recipe_that_is_none_of_the_lines_is_refused(at) -> None:
     headers = log_in(client, "erika")
     answer = client.post("/recipe/one", headers=headers, content=json.dumps({"recipe": "/etc/passwd"}))
     assert answer.status_code == 400
-    assert outbox.wished("one") is None
+    assert outbox.requested_recipe("one") is None
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ class Size(NamedTuple):
 
 Options = Callable[[Size], Mapping[str, Any]]
 
-STRANGERS: Mapping[str, tuple[str, Options]] = {
+UNSEEN: Mapping[str, tuple[str, Options]] = {
     "potato": ("potato", lambda size: {}),
     "fillet": ("fillet", lambda size: {}),
     "bread-roll": ("bread-roll", lambda size: {}),
@@ -106,14 +106,14 @@ STRANGERS: Mapping[str, tuple[str, Options]] = {
 """Family and options by name: foods as they are simulated; bodies of geometry as large as a skein."""
 
 
-def strangers(model: Path, seeds: Sequence[int], cache: Path) -> str:
+def unseen_products(model: Path, seeds: Sequence[int], cache: Path) -> str:
     """Write what the model says of products of other families, on rigs about the recipe's."""
     learned = Learned(LearnedOptions(model=model))
-    wanted = itertools.product(STRANGERS, seeds)
-    known = kept_rows(cache / "strangers.jsonl", wanted, lambda key: features_of(*key))
+    wanted = itertools.product(UNSEEN, seeds)
+    known = kept_rows(cache / "unseen_products.jsonl", wanted, lambda key: features_of(*key))
     rows: list[list[str]] = []
     found = {True: (0, 0), False: (0, 0)}
-    for name in STRANGERS:
+    for name in UNSEEN:
         said = Counter(_said(learned, known[name, seed]) for seed in seeds)
         asked, unknown, seen = said.total() - said[_NOTHING], said[UNKNOWN], name not in NOT_SEEN
         named = {label: n for label, n in said.items() if label not in (UNKNOWN, GOOD, _NOTHING)}
@@ -135,8 +135,8 @@ def _whole(tried: tuple[int, int], new: tuple[int, int]) -> str:
 
 
 def features_of(name: str, seed: int) -> dict[str, float]:
-    """Measure a stranger; empty where it was refused, or too few stripes met it."""
-    family, options = STRANGERS[name]
+    """Measure a product of no known kind; empty where it was refused, or too few stripes met it."""
+    family, options = UNSEEN[name]
     sizes = np.random.default_rng([seed, 3]).uniform((70.0, 20.0, 10.0), (105.0, 34.0, 20.0))
     lies = {} if family in ("potato", "fillet", "bread-roll", "egg") else _LIES
     try:
