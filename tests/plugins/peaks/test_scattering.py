@@ -50,12 +50,13 @@ def test_skirts_of_tissue_neither_pull_the_centre_nor_hide_in_what_is_stated(con
 
 def test_an_opaque_surface_has_no_skirts(rng):
     mean, _ = stripe(rng, 0.0, 0.0)
-    for contrast in (0.0, 0.15):
+    for contrast in (0.0, 0.15, 0.25):
         _, found = starts(
             Frame(pixels=speckled(mean, contrast, rng), sensor=Sensor(GAIN, READ)),
             MaximumLikelihood.Options(),
         )
-        assert np.mean(found.error > 0) < 0.12
+        assert np.mean(found.error > 0) < (0.12 if contrast < 0.2 else 0.3)
+        assert np.mean(found.lit) < 0.05  # what neighbouring rows share of speckle moves no centre
 
 
 @pytest.mark.parametrize(
