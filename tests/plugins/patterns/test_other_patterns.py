@@ -44,7 +44,8 @@ def _on_its_side(pixels: Pixels) -> Pixels:
     """Rows and columns exchanged, with dark where the image is wider than high."""
     side = 0.5 * (pixels.shape[1] - pixels.shape[0])
     swapped = pixels.T[int(side) : int(side) + pixels.shape[0]]
-    return cv2.copyMakeBorder(swapped, 0, 0, int(side), int(side), cv2.BORDER_CONSTANT, value=[_DARK])
+    padded = np.pad(swapped, [(0, 0), (int(side), int(side))], constant_values=_DARK)
+    return np.asarray(padded, np.uint8)
 
 
 _calibration = lru_cache(Calibration.load)
