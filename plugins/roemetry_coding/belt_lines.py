@@ -22,10 +22,11 @@ edge crosses the stripes one after another: only by accident do five stripes and
 two rows while each lies on a product before and after. A sensor's or a transport's fault tears all of them
 there. The jump of a stripe between rows r and r + 1 is its step less the mean of the steps before and after
 it, so that a slope is none; the product's ends are left out. On the belt it is the step less that of the rest
-line: where all jump alike, what follows was taken from another place.
+line: where all jump alike, what follows was taken from another place. Where a product is level nothing jumps,
+but lines lean: all belt below lies aside by the lean times the rows lost, which means over 40 rows tell.
 
-Fails where the tear crosses no product (then it harms none), where what is joined fits by accident, and on
-steps that lie along the rows to a quarter of a degree.
+Fails where the tear crosses no product (then it harms none), where what is joined fits by accident (few rows
+lost on a level product, or lines that do not lean), and on steps along the rows to a quarter of a degree.
 """
 
 from __future__ import annotations

@@ -137,6 +137,24 @@ def test_a_frame_that_begins_anew_on_the_belt_is_refused(rng: np.random.Generato
     assert found is not None and found.row == 149 and abs(found.jump_px - 1.5) < 0.1
 
 
+@pytest.mark.parametrize(("lost_rows", "turned"), [(12, 0.0), (12, 0.0015), (0, 0.0), (0, 0.0015)])
+def test_lines_that_lean_show_rows_that_were_lost_on_a_level_product(
+    lost_rows: int, turned: float, rng: np.random.Generator
+) -> None:
+    rig = LinearRig(rows=480)
+    row = np.arange(rig.rows)
+    lines = np.ascontiguousarray((rig.rest_px() + 0.0125 * row).T)
+    taken = row + np.where(row < 200, 0, lost_rows)
+    x_px = rig.rest_px() + 0.0125 * taken + turned * row + rng.normal(0.0, 0.1, (rig.stripes, rig.rows))
+    peaks = rig.peaks(x_px).peaks
+    found = tear_of(peaks.row_start, peaks.x_px, lines, 12.0)
+    if not lost_rows:
+        assert found is None
+    else:
+        assert found is not None and found.of_belt
+        assert abs(found.row - 199) < 16 and abs(found.jump_px - 0.15) < 0.05
+
+
 def test_a_step_that_the_stripes_cross_one_after_another_is_no_tear(rng: np.random.Generator) -> None:
     rig = LinearRig()
     height = rig.dome(4.0)
