@@ -21,10 +21,11 @@ _BEFORE: Mapping[str, tuple[str, ...]] = {
     "smoother": ("coder",),
     "outliner": ("smoother", "coder"),
     "triangulator": ("smoother", "coder"),
-    "volume": ("triangulator", "outliner"),
+    "assembler": ("triangulator", "coder"),
+    "volume": ("triangulator", "assembler", "outliner"),
     "weigher": ("volume",),
-    "classifier": ("triangulator", "outliner"),
-    "grader": ("triangulator", "outliner", "volume", "weigher", "classifier"),
+    "classifier": ("triangulator", "assembler", "outliner"),
+    "grader": ("triangulator", "assembler", "outliner", "volume", "weigher", "classifier"),
 }
 
 
@@ -72,6 +73,8 @@ class StageCache:
 class CachedStages:
     """A recipe's stages, for a pipeline, sharing a memory with the stages of all recipes compared.
 
+    The stages of a scan are called line by line, so that nothing of them is remembered.
+
     Attributes
     ----------
     stages
@@ -79,14 +82,16 @@ class CachedStages:
     keys
         By kind, the hash of all that decides the stage's result on an acquisition.
     seconds
-        By kind, the time its steps took where they were done, s; add up until `start`.
+        By kind, the time its steps took where they were done, s; add up until `start`. None of a scan.
     """
 
     def __init__(self, recipe: Recipe, memory: StageCache, draws: int | None = None) -> None:
         self.keys = step_keys(recipe, (recipe.uncertainty, recipe.draws) if draws is None else ("", draws))
         self.seconds: dict[str, float] = {}
         self.stages: dict[str, Any] = {
-            kind: _CachedStage(kind, chosen.make(), self.keys[kind], memory, self.seconds)
+            kind: chosen.make()
+            if "assembler" in recipe.stages
+            else _CachedStage(kind, chosen.make(), self.keys[kind], memory, self.seconds)
             for kind, chosen in recipe.stages.items()
         }
 

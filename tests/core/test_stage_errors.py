@@ -14,6 +14,7 @@ from roemetry.config.recipe import Recipe
 from roemetry.config.resolve import ResolvedStage
 from roemetry.errors import DataError, PluginError
 from roemetry.records import Decision, Estimate, Peaks, Weight
+from roemetry.run.pipeline import Pipeline
 from roemetry.run.stage_cache import CachedStages, StageCache
 from roemetry.run.stage_errors import describe_failure, plugin_frame, wrap_stage_error
 from roemetry.stages.registry import discover
@@ -108,3 +109,18 @@ def test_what_a_step_raised_is_raised_again_with_its_place() -> None:
         places.append([str(entry.path.name) for entry in broke.traceback])
     assert broke.traceback[-1].name == "breaks"
     assert places[0] == places[1] == places[2], "the traceback does not grow"
+
+
+def test_variants_of_a_scan_do_not_take_one_line_for_another(root: Path) -> None:
+    recipe = Recipe.load(root / "recipes/belt_scan", sets=["draws=0"])
+    source = recipe.source.make()
+    acquisition = source.read(recipe.references()[0])
+    remembered = CachedStages(recipe, StageCache())
+    alone, shared = (
+        Pipeline(recipe, stages=stages).trace(acquisition) for stages in (None, remembered.stages)
+    )
+    assert alone.products
+    for one, other in zip(alone.products, shared.products, strict=True):
+        assert one.volume is not None
+        assert other.volume is not None
+        assert one.volume.visible_mm3 == other.volume.visible_mm3

@@ -188,7 +188,7 @@ class _Worker:
                 continue
             stages.start()
             trace = pipeline.trace(acquisition)
-            seconds = {"source": trace.seconds.get("source", 0.0), **stages.seconds}
+            seconds = {"source": trace.seconds.get("source", 0.0), **(stages.seconds or trace.seconds)}
             turn_deg = 0 if self._dataset is None else self._dataset.description.turn_deg
             memory = (stages.keys, self._memory)
             found.append(
