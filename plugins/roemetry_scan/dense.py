@@ -38,6 +38,8 @@ _EDGE_SHIFT = 0.3
 """Points by which all edges may lie farther out together: rays miss the last of a flank (seed 7000)."""
 _EDGE_POINTS = 0.5
 """Points by which each edge of a slice may lie otherwise, uniform."""
+_BEYOND_STEPS = 4.0
+"""A last point beyond which more is missing would have been followed by the assembler."""
 TO_RIM = 2.0 / 3.0
 """Of the last point's height over the rim, on the mean from there to it: a parabola's."""
 _SURFACE_SLICES, _SURFACE_POINTS = 160, 64
@@ -260,15 +262,18 @@ def _beyond(
         last += inwards
     if 0 <= last + inwards < points and mine[i, last + inwards] and not added[i, last + inwards]:
         last += inwards  # the lens blurs light of higher rows over the outermost
-    if not (0 <= belt < points and label[i, belt] == 0 and 0 <= last < points and mine[i, last]):
+    if not (0 <= last < points and mine[i, last]):
         return half, xyz[i, edge, 2]
+    most = abs(xyz[i, edge, 1] - xyz[i, last, 1]) + _BEYOND_STEPS * step  # a product alone shows no belt
+    if 0 <= belt < points and label[i, belt] == 0:
+        most = abs(xyz[i, belt, 1] - xyz[i, last, 1])
     d, z = np.empty(POINTS), np.empty(POINTS)
     count, k = 0, last
     while 0 <= k < points and count < POINTS and mine[i, k] and not added[i, k]:
         d[count], z[count] = abs(xyz[i, k, 1] - xyz[i, last, 1]), pooled(xyz, label, added, i, k, 1)
         count += 1
         k += inwards
-    r, _, _, c, length = conic(d, z, count, abs(xyz[i, belt, 1] - xyz[i, last, 1]), rim)
+    r, _, _, c, length = conic(d, z, count, most, rim)
     if length <= 0.0 or c >= 0.0:
         return half, xyz[i, edge, 2]
     return max(length - abs(xyz[i, edge, 1] - xyz[i, last, 1]), 0.0), r + TO_RIM * (xyz[i, edge, 2] - r)

@@ -168,15 +168,16 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> tuple[Fl
     the middle half of the rows.
     """
     slices, points = label.shape
+    alone = not (label == 0).any()  # slices of a product alone: what is not of it was belt
     found, count = np.full((products + 1, 2 * points), np.nan), np.zeros(products + 1, np.int64)
     at = np.zeros((products + 1, 2 * points))
     for k in range(points):
         for way in (1, -1):
-            unseen = slices
+            unseen = 0 if alone else slices
             for i in range(slices - 1):
                 m = i if way == 1 else slices - 1 - i
                 number = label[m, k]
-                if number == 0:
+                if number == 0 or (alone and number < 0):
                     unseen = 0
                 elif number < 0 or added[m, k]:
                     unseen += 1
