@@ -168,16 +168,15 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> tuple[Fl
     the middle half of the rows.
     """
     slices, points = label.shape
-    alone = not (label == 0).any()  # slices of a product alone: what is not of it was belt
     found, count = np.full((products + 1, 2 * points), np.nan), np.zeros(products + 1, np.int64)
     at = np.zeros((products + 1, 2 * points))
     for k in range(points):
         for way in (1, -1):
-            unseen = 0 if alone else slices
+            unseen = slices
             for i in range(slices - 1):
                 m = i if way == 1 else slices - 1 - i
                 number = label[m, k]
-                if number == 0 or (alone and number < 0):
+                if number == 0:
                     unseen = 0
                 elif number < 0 or added[m, k]:
                     unseen += 1
@@ -207,7 +206,7 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> tuple[Fl
 
 
 @float_kernel
-def pooled(xyz: Floats, label: Labels, added: Flags, m: int, n: int, axis: int) -> float:
+def _pooled(xyz: Floats, label: Labels, added: Flags, m: int, n: int, axis: int) -> float:
     """Give the mean height of a point and of its neighbours across the way that is followed."""
     slices, points = label.shape
     total, count = xyz[m, n, 2], 1
@@ -266,7 +265,7 @@ def _fill(
             d[count] = abs(xyz[m, n, axis] - xyz[i, k, axis])
             if count >= _POINTS_MIN and d[count] > _REACH * xyz[i, k, 2]:
                 break
-            z[count] = pooled(xyz, label, added, m, n, axis)
+            z[count] = _pooled(xyz, label, added, m, n, axis)
             count += 1
         m -= way_i
         n -= way_k
