@@ -48,9 +48,8 @@ def slice_chart(volume: Volume, word: str = "stripe") -> Markup | None:
     slices = zip(volume.slice_stripe[order].tolist(), area, spacing, wide, strict=True)
     for k, (stripe, a, s, w) in enumerate(slices):
         width, top = float(w) * across, up(float(np.nan_to_num(a)))
-        title = (
-            f"{word.capitalize()} {stripe + 1}: {plain(float(a), 1)} mm², held over {plain(float(s), 2)} mm"
-        )
+        name = f"{word.capitalize()} {stripe + 1}"
+        title = f"{name}: {plain(float(a), 1)} mm², held over {plain(float(s), 2)} mm"
         colour = palette.stripe_colour_on_paper(stripe)
         parts.append(svg.box(x + 0.75, top, max(width - 1.5, 0.5), floor - top, "bar", title, colour))
         middle = x + width / 2

@@ -26,7 +26,7 @@ from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Surfac
 from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
 from roemetry_kernels.compiling import float_kernel
-from roemetry_scan.flanks import POINTS, conic, pooled, rims_of
+from roemetry_scan.flanks import POINTS, conic, rims_of
 
 _UNIFORM = 1.0 / math.sqrt(12.0)
 _OVER_GAP = 0.1
@@ -38,6 +38,8 @@ _EDGE_SHIFT = 0.3
 """Points by which all edges may lie farther out together: rays miss the last of a flank (seed 7000)."""
 _EDGE_POINTS = 0.5
 """Points by which each edge of a slice may lie otherwise, uniform."""
+_BEYOND_STEPS = 2.0
+"""An outermost point beyond which more is missing would have been followed by the assembler."""
 TO_RIM = 2.0 / 3.0
 """Of the last point's height over the rim, on the mean from there to it: a parabola's."""
 _SURFACE_SLICES, _SURFACE_POINTS = 160, 64
@@ -208,7 +210,7 @@ def estimate_of(value: float, budget: dict[str, float]) -> Estimate:
 def _areas(xyz: Floats, mine: Flags, seen: Flags, label: Labels, rim: float) -> Floats:
     """Give (slice, 6): area, what of it is filled, width, √(Σ edge heights²), usual step, what is bridged."""
     slices, points = mine.shape
-    table, added = np.zeros((slices, 6)), ~seen
+    table = np.zeros((slices, 6))
     for i in range(slices):
         last, first = -1, -1
         area, filled, bridged, steps, count = 0.0, 0.0, 0.0, 0.0, 0
@@ -230,8 +232,8 @@ def _areas(xyz: Floats, mine: Flags, seen: Flags, label: Labels, rim: float) -> 
                 first = k
             last = k
         each = steps / count if count > 0 else 0.0
-        left = _beyond(xyz, mine, added, label, i, first, 1, each, rim)
-        right = _beyond(xyz, mine, added, label, i, last, -1, each, rim)
+        left = _beyond(xyz[i], mine[i], seen[i], label[i], first, 1, each, rim)
+        right = _beyond(xyz[i], mine[i], seen[i], label[i], last, -1, each, rim)
         area += left[0] * left[1] + right[0] * right[1]
         table[i, 0], table[i, 1], table[i, 5] = area, filled, bridged
         table[i, 2] = abs(xyz[i, last, 1] - xyz[i, first, 1]) + left[0] + right[0]
@@ -242,36 +244,31 @@ def _areas(xyz: Floats, mine: Flags, seen: Flags, label: Labels, rim: float) -> 
 
 @float_kernel
 def _beyond(
-    xyz: Floats, mine: Flags, added: Flags, label: Labels, i: int, edge: int, inwards: int, step: float,
-    rim: float,
-) -> tuple[float, float]:  # fmt: skip
+    xyz: Floats, mine: Flags, seen: Flags, label: Labels, edge: int, inwards: int, step: float, rim: float
+) -> tuple[float, float]:
     """Give how far a slice goes on beyond its outermost point, mm, and the mean height there, mm.
 
-    A wall or a slope ends half a step farther out on the mean. A flank that bulges goes on as the conic of
-    its last seen points: a camera over the belt's middle looks past the rim of what it sees to the side, and
-    light that grazes loses the last of it.
+    A wall or a slope ends half a step farther out on the mean. A flank that bulges goes on as
+    the conic of its last points: a camera over the belt's middle looks past the rim of what it sees to the
+    side, and light that grazes loses the last of it.
     """
+    beside = edge - inwards
     half = 0.5 * step
-    belt, last = edge - inwards, edge
-    points = label.shape[1]
-    while 0 <= belt < points and label[i, belt] < 0:
-        belt -= inwards
-    while 0 <= last < points and mine[i, last] and added[i, last]:
-        last += inwards
-    if 0 <= last + inwards < points and mine[i, last + inwards] and not added[i, last + inwards]:
-        last += inwards  # the lens blurs light of higher rows over the outermost
-    if not (0 <= belt < points and label[i, belt] == 0 and 0 <= last < points and mine[i, last]):
-        return half, xyz[i, edge, 2]
+    if not seen[edge]:
+        return half, xyz[edge, 2]
+    most = _BEYOND_STEPS * step
+    if 0 <= beside < label.size and label[beside] == 0:
+        most = abs(xyz[beside, 1] - xyz[edge, 1])
     d, z = np.empty(POINTS), np.empty(POINTS)
-    count, k = 0, last
-    while 0 <= k < points and count < POINTS and mine[i, k] and not added[i, k]:
-        d[count], z[count] = abs(xyz[i, k, 1] - xyz[i, last, 1]), pooled(xyz, label, added, i, k, 1)
+    count, k = 0, edge
+    while 0 <= k < seen.size and count < POINTS and mine[k] and seen[k]:
+        d[count], z[count] = abs(xyz[k, 1] - xyz[edge, 1]), xyz[k, 2]
         count += 1
         k += inwards
-    r, _, _, c, length = conic(d, z, count, abs(xyz[i, belt, 1] - xyz[i, last, 1]), rim)
+    r, _, _, c, length = conic(d, z, count, most, rim)
     if length <= 0.0 or c >= 0.0:
-        return half, xyz[i, edge, 2]
-    return max(length - abs(xyz[i, edge, 1] - xyz[i, last, 1]), 0.0), r + TO_RIM * (xyz[i, edge, 2] - r)
+        return half, xyz[edge, 2]
+    return length, r + TO_RIM * (xyz[edge, 2] - r)
 
 
 def _drawn(profiles: Profiles, index: Integers, number: int) -> Surface:

@@ -206,7 +206,7 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> tuple[Fl
 
 
 @float_kernel
-def pooled(xyz: Floats, label: Labels, added: Flags, m: int, n: int, axis: int) -> float:
+def _pooled(xyz: Floats, label: Labels, added: Flags, m: int, n: int, axis: int) -> float:
     """Give the mean height of a point and of its neighbours across the way that is followed."""
     slices, points = label.shape
     total, count = xyz[m, n, 2], 1
@@ -265,7 +265,7 @@ def _fill(
             d[count] = abs(xyz[m, n, axis] - xyz[i, k, axis])
             if count >= _POINTS_MIN and d[count] > _REACH * xyz[i, k, 2]:
                 break
-            z[count] = pooled(xyz, label, added, m, n, axis)
+            z[count] = _pooled(xyz, label, added, m, n, axis)
             count += 1
         m -= way_i
         n -= way_k
