@@ -508,7 +508,8 @@ def tear_of(row_start: Integers, x_px: Floats, lines_px: Floats, spacing_px: flo
     spacing_px
         Their smallest distance.
     """
-    rounded = all(float(x).is_integer() for x in x_px[:8]) and bool((x_px == np.rint(x_px)).all())
+    # to whole or half pixels, as by middles of runs
+    rounded = all(float(2.0 * x).is_integer() for x in x_px[:8]) and bool((2.0 * x_px % 1.0 == 0.0).all())
     least_px = _ROUNDED_JUMP_MIN_PX if rounded else _JUMP_MIN_PX
     row, jump_px, usual_px, shift_row, shift_px, usual_shift_px = _largest_jump(
         row_start, x_px, lines_px, _REACH_SHARE * spacing_px, _OFF_BELT_PX, _BELT_PX, _STEP_MAX_PX,

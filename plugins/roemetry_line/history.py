@@ -142,7 +142,8 @@ def history(
             typer.echo(f"  {at:%Y-%m-%d %H:00}  {count:6} products  mean {mean:.6g}  (± {limit:.3g}){out}")
     for name, of in checks.items():
         if of:
-            typer.echo(f"calibration of {name}: checks: {len(of)}, the last {of[-1].made}: {of[-1].verdict}")
+            many = "1 check" if len(of) == 1 else f"{len(of)} checks"
+            typer.echo(f"calibration of {name}: {many}, the last {of[-1].made}: {of[-1].verdict}")
             for reason in of[-1].reasons:
                 typer.echo(f"  {reason.text}")
 

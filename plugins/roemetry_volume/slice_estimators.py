@@ -17,16 +17,14 @@ from roemetry_kernels.compiling import kernel
 from roemetry_kernels.image_levels import median_of
 from roemetry_volume import slice_rules as rules
 from roemetry_volume.slice_rules import Cap, Ends, cap_of
-from roemetry_volume.slice_table import FILLED, FIRST_ROW, HOLE, LAST_ROW, LOW, WALL, Slices, slices_of
+from roemetry_volume.slice_table import FILLED, HOLE, LOW, Slices, slices_of
 from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume, underside_reasons
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
 _BETWEEN = 0.38  # of what leaving a slice out changes: with it, the gap is half as wide
 _RULES_APART = 1.3  # a rectangle's half width over its standard deviation would be 1.73
 _AREAS_STD = 0.003  # of the volume: walls and ends of the slices themselves, however many there are
-_LOOSE = 1.0 / math.sqrt(3.0)
-"""Of what is bridged beyond a slice's seen points (none of it, or twice as much), or of half a row at each of
-its ends if that is more: blur and light below the surface move the ends of all slices alike."""
+_LOOSE = 1.0 / math.sqrt(3.0)  # of what is bridged beyond a slice's seen points: none of it, or twice as much
 _OVER_GAP = 0.1  # of what a straight line fills: a dome rises over it by some tenth
 _IN_HOLE = 1.0 / math.sqrt(3.0)  # of what a straight line over a hole would hold: it may not be empty
 
@@ -95,7 +93,7 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
         uneven = _between_std(slices.t_mm, slices.area_mm2, slope, between)
         budget = {
             "between slices": math.hypot(uneven, _AREAS_STD * volume),
-            "slice ends": _LOOSE * float(np.maximum(slices.loose_mm2, _of_a_row(slices)) @ slices.held_mm),
+            "slice ends": _LOOSE * float(slices.loose_mm2 @ slices.held_mm),
             "gaps": gaps_std(slices),
             "ends": math.hypot(caps[0].std_mm3, caps[1].std_mm3),
             "common height": common_height_std_mm(product) * self._footprint_mm2(slices, caps),
@@ -178,12 +176,6 @@ def _between_std(t_mm: Floats, area_mm2: Floats, slope: Floats, between: float) 
     """
     smooth: float = rules.between_slices(t_mm, area_mm2, slope, rules.SPLINE)
     return math.hypot(_BETWEEN * rules.unevenness(t_mm, area_mm2), (smooth - between) / _RULES_APART)
-
-
-def _of_a_row(slices: Slices) -> Floats:
-    """Give the area over half a row at both ends of each slice, mm²."""
-    rows = slices.table[:, LAST_ROW] - slices.table[:, FIRST_ROW] + 1.0
-    return np.asarray(slices.width_mm / rows * np.sqrt(slices.table[:, WALL]))
 
 
 def gaps_std(slices: Slices) -> float:

@@ -321,13 +321,12 @@ def _area(
         top, low = max(top, on[m, _Z]), min(low, on[m, _Z])
     out[TOP], out[LOW] = top, low
     first, last = _outermost_seen(on)
-    belt = on[0].copy(), on[count - 1].copy()
-    unseen = first == count
-    if not unseen:
+    belt_y = on[0, _Y], on[count - 1, _Y]
+    if first < count:
         on = on[first : last + 1]
     start, stop = _trimmed(on)
     on = on[start:stop]
-    bridged = not unseen and first > 0, not unseen and last < count - 1
+    bridged = first > 0 and first < count, first < count and last < count - 1
     count = stop - start
     out[FIRST_ROW], out[LAST_ROW] = on[0, _ROW], on[count - 1, _ROW]
     wall = 0.5 * (on[0, _Z] ** 2 + on[count - 1, _Z] ** 2)
@@ -359,16 +358,15 @@ def _area(
             on_seen += abs(part)
         else:
             on_bridged += abs(part)
-        if unseen:
+        if first == on.shape[0]:
             loose += abs(part)
         if gap:
             farthest = np.inf if _is_step(on, m, top) else widest
             _gap(out, on[m], on[m + 1], fan, top, per_row, farthest)
     for end in range(2):
         if bridged[end]:
+            tail, reach = _tail(on, end, belt_y[end])
             edge = on[0 if end == 0 else count - 1]
-            half = 0.5 * per_row * abs(belt[end][_ROW] - edge[_ROW])
-            tail, reach = _tail(on, end, abs(belt[end][_Y] - edge[_Y]), half)
             if edge[_Z] > 0.0:
                 tail *= _weighed(edge[_Y], edge[_Z], fan) / edge[_Z]
             width += reach
@@ -381,21 +379,20 @@ def _area(
 
 
 @float_kernel
-def _tail(on: Floats, end: int, most: float, half: float) -> tuple[float, float]:
+def _tail(on: Floats, end: int, belt_y: float) -> tuple[float, float]:
     """Give area and width between a slice's outermost seen point and the belt that is seen beyond it.
 
     A dome's y is a parabola of z near its rim, z = rim + √(α·d): fitted to the outermost points, it is
-    followed down to where it turns, which is the rim, or to the belt. Where it does not get there before the
-    belt that is seen, `most` mm away, or does not fall, it ends in a wall, anywhere up to there: `half` of
-    the way counts, mm. That is counted in rows: along Y the belt at a wall's foot lies farther away, since
-    the line of sight leans over it.
+    followed down to where it turns, which is the rim, or to the belt, but not beyond where belt was seen.
+    Of what does not fall, the edge lies anywhere up to there: half of it counts.
     """
     count = on.shape[0]
     first, step = (0, 1) if end == 0 else (count - 1, -1)
     y0, z0 = on[first, _Y], on[first, _Z]
+    most = abs(belt_y - y0)
+    sign = 1.0 if belt_y > y0 else -1.0
     row = abs(on[first + step, _Y] - y0) if count > 1 else 0.0
     used = min(_TAIL_POINTS, count)
-    sign = 1.0 if y0 > on[first + (used - 1) * step, _Y] else -1.0
     # d = b·h + c·h², outwards from the outermost point over the height above it
     hh, hhh, hhhh, dh, dhh = 0.0, 0.0, 0.0, 0.0, 0.0
     for m in range(1, used):
@@ -406,19 +403,20 @@ def _tail(on: Floats, end: int, most: float, half: float) -> tuple[float, float]
         dh += d * h
         dhh += d * h * h
     determinant = hh * hhhh - hhh * hhh
-    level = (half - 0.5 * row) * z0, max(half - 0.5 * row, 0.0)
+    half = 0.5 * most * z0 - 0.5 * row * z0, max(0.5 * most - 0.5 * row, 0.0)
     if used < _TAIL_POINTS or not determinant > 1e-9 * hh * hhhh:
-        return level
+        return half
     b, c = (dh * hhhh - dhh * hhh) / determinant, (dhh * hh - dh * hhh) / determinant
     if not b < 0.0:
         c, b = 0.0, dh / hh
     if not b < 0.0:
-        return level
+        return half
     stop = -z0
     if c < 0.0:
         stop = max(stop, -0.5 * b / c)
     if (b + c * stop) * stop > most:
-        return level
+        inside = b * b + 4.0 * c * most
+        stop = 2.0 * most / (b - np.sqrt(max(inside, 0.0)))
     beyond = stop * (b * (z0 + 0.5 * stop) + c * stop * (z0 + 2.0 / 3.0 * stop))
     return beyond - 0.5 * row * z0, max((b + c * stop) * stop - 0.5 * row, 0.0)
 

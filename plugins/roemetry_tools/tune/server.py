@@ -82,9 +82,7 @@ def app_of(session: Session, token: str = "") -> Starlette:
         return JSONResponse(saved, headers=_HEADERS)
 
     def refused(_: Request, error: Exception) -> Response:
-        return JSONResponse(
-            {"said": str(error)}, 403 if isinstance(error, _ForeignPageError) else 400, headers=_HEADERS
-        )
+        return JSONResponse({"said": str(error)}, 403 if str(error) == _FOREIGN else 400, headers=_HEADERS)
 
     routes = [
         Route("/", page),
@@ -136,8 +134,7 @@ def serve(session: Session, port: int, on_ready: Callable[[str], None]) -> None:
         uvicorn.Server(config).run(sockets=[listening])
 
 
-class _ForeignPageError(RoemetryError):
-    """A page of another site asks."""
+_FOREIGN = "asked by a page that is not this server's"
 
 
 async def _read(request: Request, model: type[Any]) -> Any:
@@ -148,7 +145,7 @@ async def _read(request: Request, model: type[Any]) -> Any:
     """
     origin = request.headers.get("origin")
     if origin is not None and origin != f"http://{request.headers.get('host', '')}":
-        raise _ForeignPageError("asked by a page that is not this server's")
+        raise RoemetryError(_FOREIGN)
     kind = request.headers.get("content-type", "").partition(";")[0].strip()
     if kind != "application/json":
         raise RoemetryError("expected content of the type application/json")

@@ -306,18 +306,3 @@ def test_a_gap_under_some_products_widens_the_intervals_of_all(rng: np.random.Ge
     true = np.where(gap, rng.normal(0.75, 0.02, 2000), rng.normal(0.92, 0.01, 2000))
     share, std = fitted_share(np.ones(1000), true[:1000])
     assert 0.92 < np.mean(np.abs(true[1000:] - share) < 1.96 * std) < 0.98
-
-
-def test_rows_between_a_wall_and_the_belt_count_as_rows_not_along_the_line_of_sight() -> None:
-    """The belt that is seen beyond a wall 10 mm high lies 0.5 mm farther along Y than the rows say."""
-    row_mm, rows, gap, aside = 0.25, 40, 2, 0.5
-    row = np.arange(rows + 2.0 * gap)
-    y, z, inside = row_mm * row, np.full(row.size, 10.0), (row >= gap) & (row < rows + gap)
-    z[~inside] = 0.0
-    y += np.where(row < gap, -aside, np.where(inside, 0.0, aside))
-    xyz = np.stack([np.zeros_like(y), y, z], axis=-1)[None]
-    on = np.ones((1, row.size), np.int16)
-    plane = np.array([[1.0, 0.0, 0.0, 0.0]])
-    table, _ = slice_table.slice_areas(xyz, on, inside[None], row[None], plane, np.zeros(1, np.int64), 1)
-    beyond = table[0, slice_table.AREA] - row_mm * rows * 10.0
-    assert 0.0 <= beyond <= gap * row_mm * 10.0  # both ends together; the edges lie within the gaps
