@@ -30,7 +30,8 @@ def _compile_for_common_processors() -> None:
     vectors make the recommended recipe no faster (decision 6). Where somebody has chosen, or uses numba
     already in this process, it stays as it is.
     """
-    if "NUMBA_CPU_NAME" in os.environ or "numba" in sys.modules:
+    chosen = "NUMBA_CPU_NAME" in os.environ or "NUMBA_CPU_FEATURES" in os.environ
+    if chosen or "numba" in sys.modules:
         return
     from llvmlite import binding
 

@@ -165,8 +165,8 @@ def closed_volume(
     lower, hidden = _underside_followed(x, y, upper, lower, rim)
     followed = float((upper - rim)[added].sum() + (rim - lower)[hidden].sum())
     over, under = (np.array([_half(y, line) for line in half]) for half in (upper - rim, rim - lower))
-    areas, beyond = (over + under).T
-    areas[(over[:, 0] == 0.0) | (under[:, 0] == 0.0)] = 0.0
+    both = (over[:, :1] > 0.0) & (under[:, :1] > 0.0)
+    areas, beyond = np.where(both, over + under, 0.0).T
     step = float(x[1] - x[0])
     ends = _cap(x, areas + beyond) + _cap(-x[::-1], (areas + beyond)[::-1])
     value = float((areas + beyond).sum() * step) + ends

@@ -352,7 +352,10 @@ def _belt_of(path: Path | None, like: Frame) -> NDArray[Any] | None:
 def _read(path: Path) -> NDArray[Any]:
     import cv2
 
-    data = np.frombuffer(as_stored(path.read_bytes()), np.uint8) if path.is_file() else np.empty(0, np.uint8)
+    try:
+        data = np.frombuffer(as_stored(path.read_bytes()), np.uint8)
+    except OSError:
+        data = np.empty(0, np.uint8)
     pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     if pixels is None:
         raise StageError(f"{path}: the empty belt's image cannot be read")

@@ -139,9 +139,8 @@ def _stopped(started: int, number: int, _: object) -> None:
     """End at once: an exception might surface in an import, which would be blamed on a plugin."""
     if os.getpid() == started:  # not a forked worker, which is told to stop by its own process
         name = signal.Signals(number).name
-        os.write(
-            2, f"roemetry: stopped by {name} before anything was kept; give the command again\n".encode()
-        )
+        said = f"roemetry: stopped by {name}; give the command again, with --resume if it has kept anything\n"
+        os.write(2, said.encode())
     os._exit(130)
 
 

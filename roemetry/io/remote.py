@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import shutil
 import tempfile
 import threading
 from collections import OrderedDict, deque
@@ -19,7 +20,7 @@ from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
-from roemetry.errors import ConfigurationError, PluginError, RoemetryError
+from roemetry.errors import ConfigurationError, OutputError, PluginError, RoemetryError
 
 _AHEAD = 16
 """Objects that are fetched ahead: by 30 ms each, the round trip to a bucket, they come at 500 a second."""
@@ -150,32 +151,47 @@ def folder_for(place: Path) -> Iterator[Path]:
     """Give the folder itself; for a URL one on this machine that has its objects, and what they become.
 
     What is new or has changed in it is put there when the block ends, however it ends; what was taken away
-    is taken away there, too.
+    is taken away there, too. OutputError where it cannot be read, or not be put there: then it is kept here.
     """
     if not isinstance(place, Url):
         yield place
         return
-    with tempfile.TemporaryDirectory(prefix="roemetry-") as name:
-        folder = Path(name) / place.name
-        folder.mkdir()
-        with _said_plainly(place):
-            system, root = _system(place)
-            for found in system.find(root) if system.exists(root) else ():
-                file = folder / found[len(root) :].strip("/")
-                file.parent.mkdir(parents=True, exist_ok=True)
-                system.get_file(found, str(file))
-        before = _states(folder)
+    above = Path(tempfile.mkdtemp(prefix="roemetry-"))
+    folder = above / place.name
+    folder.mkdir()
+    try:
+        _fetch_folder(place, folder)
+    except OSError as error:
+        shutil.rmtree(above)
+        raise OutputError(f"{place}: cannot be read: {error.strerror or error}") from error
+    before = _states(folder)
+    try:
+        yield folder
+    except RoemetryError as error:
+        error.message = error.message.replace(str(folder), str(place))
+        raise
+    finally:
         try:
-            yield folder
-        except RoemetryError as error:
-            error.message = error.message.replace(str(folder), str(place))
-            raise
-        finally:
             after = _states(folder)
-            for file in sorted(after.items() - before.items()):
-                (place / file[0]).put(folder / file[0])
+            for name, _ in sorted(after.items() - before.items()):
+                (place / name).put(folder / name)
             for gone in before.keys() - after.keys():
                 (place / gone).unlink()
+        except OSError as error:
+            raise OutputError(
+                f"{place}: cannot be written: {error.strerror or error}",
+                hint=f"nothing is lost: copy {folder} there by hand",
+            ) from error
+        shutil.rmtree(above)
+
+
+def _fetch_folder(place: Url, folder: Path) -> None:
+    with _said_plainly(place):
+        system, root = _system(place)
+        for found in system.find(root) if system.exists(root) else ():
+            file = folder / found[len(root) :].strip("/")
+            file.parent.mkdir(parents=True, exist_ok=True)
+            system.get_file(found, str(file))
 
 
 def _states(folder: Path) -> dict[str, tuple[int, int]]:

@@ -150,7 +150,7 @@ def _run(
                         seconds.setdefault(stage, []).append(value)
                     on_progress(finished, len(references))
         except BaseException:
-            if not finished:  # such as a cluster that is not there: then there is no run
+            if not (finished or done):  # such as a cluster that is not there: then there is no run
                 _take_back(folder, parts)
             raise
         counts, drift = summed_up(folder)

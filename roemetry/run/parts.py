@@ -95,8 +95,9 @@ class Parts:
 
     def take_back(self, provenance: str) -> None:
         """Take away what `begin` put there; as far as the bucket lets us, for an error is on its way."""
-        for name in (provenance, INDEX):
-            with suppress(OSError):
+        with suppress(OSError, OutputError):
+            self._refuse_another_run()
+            for name in (provenance, INDEX):
                 (self._place / name).unlink()
 
     def grown(self, acquisition: str, rows: int) -> None:

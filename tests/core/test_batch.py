@@ -256,7 +256,8 @@ def test_asked_to_end_before_it_measures_a_run_says_so(tmp_path: Path) -> None:
         process.send_signal(signal.SIGTERM)
         said = process.communicate(timeout=60)
     assert process.returncode == 130, said
-    assert said == ("", "roemetry: stopped by SIGTERM before anything was kept; give the command again\n")
+    told = "stopped by SIGTERM; give the command again, with --resume if it has kept anything"
+    assert said == ("", f"roemetry: {told}\n")
     assert not out.exists()
 
 

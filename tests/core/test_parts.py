@@ -13,7 +13,7 @@ import pytest
 from roemetry.cli.main import main
 from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, OutputError
-from roemetry.io.remote import Url
+from roemetry.io.remote import Url, folder_for
 from roemetry.run import parts
 from roemetry.run.batch import derive, run_recipe
 from roemetry.run.record import read_record, recipe_of, rows_of
@@ -133,13 +133,40 @@ def test_a_bucket_that_takes_nothing_is_known_before_the_first_image(recipe, buc
         run_recipe(recipe, bucket, on_progress=stop_after(1))
 
 
+class Gone:
+    """Executes nothing."""
+
+    def in_order(self, *_: object) -> Iterator[object]:
+        raise OutputError("no scheduler")
+        yield
+
+
+def test_rows_of_images_that_are_gone_stay_where_a_run_does_not_go_on(recipe, tmp_path) -> None:
+    out = tmp_path / "here"
+    run_recipe(recipe, out)
+    before = (out / "measurements.jsonl").read_bytes()
+    for image in (recipe.path.parent / "images").iterdir():
+        image.rename(image.with_name(f"new_{image.name}"))
+    with pytest.raises(OutputError, match="no scheduler"):
+        run_recipe(recipe, out, executor=Gone(), resume=True)
+    assert (out / "measurements.jsonl").read_bytes() == before
+
+
+def test_what_a_bucket_does_not_take_stays_here(bucket, monkeypatch) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise PermissionError("Access Denied")
+
+    monkeypatch.setattr(type(fsspec.filesystem("memory")), "put_file", refused)
+    refusal = pytest.raises(OutputError, match="cannot be written: no permission")
+    with refusal as caught, folder_for(bucket) as folder:
+        (folder / "tables").mkdir()
+        (folder / "tables" / "a.csv").write_text("a\n1\n")
+    assert str(folder) in str(caught.value)
+    assert (folder / "tables" / "a.csv").read_text() == "a\n1\n"
+
+
 @pytest.mark.parametrize("where", ["bucket", "folder"])
 def test_a_run_that_never_begins_leaves_nothing(recipe, bucket, tmp_path, where) -> None:
-    class Gone:
-        def in_order(self, *_: object) -> Iterator[object]:
-            raise OutputError("no scheduler")
-            yield
-
     with pytest.raises(OutputError, match="no scheduler"):
         run_recipe(recipe, bucket if where == "bucket" else tmp_path / "here", executor=Gone())
     assert not fsspec.filesystem("memory").find("/plant")

@@ -155,6 +155,7 @@ def test_every_processor_with_avx2_runs_the_same_kernels(
     roemetry_kernels._compile_for_common_processors()
     assert os.environ["NUMBA_CPU_NAME"] == "somebody's"
     monkeypatch.delenv("NUMBA_CPU_NAME")
+    monkeypatch.delenv("NUMBA_CPU_FEATURES")
     monkeypatch.delitem(sys.modules, "numba")
     roemetry_kernels._compile_for_common_processors()
     assert os.environ.get("NUMBA_CPU_NAME") == target
