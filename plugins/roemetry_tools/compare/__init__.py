@@ -144,8 +144,8 @@ def compare(
         raise ConfigurationError(f"two data sets are called {max(names, key=names.count)}", hint="rename one")
     every: dict[str, Sequence[Compared]] = {}
     told = {}
-    place_of_it = out or next_folder(base.path, "-compare")
-    with folder_for(place_of_it) as folder:
+    destination = out or next_folder(base.path, "-compare")
+    with folder_for(destination) as folder:
         for name, one in zip(names, given, strict=True):
             into = folder / name if len(given) > 1 else folder
             try:
@@ -155,7 +155,7 @@ def compare(
             except KeyboardInterrupt as stop:
                 raise InterruptedRunError(
                     f"stopped; what was scored is kept in {folder}",
-                    hint=f"go on with --out {place_of_it} --resume",
+                    hint=f"go on with --out {destination} --resume",
                 ) from stop
             told[name] = json.loads((into / SUMMARY).read_text("utf-8"))
         for name in names:  # until then a comparison on several sets that is stopped goes on with all of them
@@ -168,7 +168,7 @@ def compare(
     elif len(given) > 1:
         Console().print(across_table(across))
     if not as_json:
-        typer.echo(f"  {place_of_it / ('between.csv' if len(given) > 1 else PAGE)}")
+        typer.echo(f"  {destination / ('between.csv' if len(given) > 1 else PAGE)}")
     if any(one.failure for compared in every.values() for one in compared):
         raise typer.Exit(1)
 

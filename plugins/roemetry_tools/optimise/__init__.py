@@ -130,9 +130,9 @@ def optimise(
     field = field_of(every, None if by is None else _FIELDS[by])
     search = Search(space, seed)
     choosing, rest = every.parted(held_out, seed)
-    place_of_it = out or next_folder(base.recipe.path, "-optimise")
+    destination = out or next_folder(base.recipe.path, "-optimise")
     began, last, terms = datetime.now(UTC), Trueness(field), Terms(seed=seed)
-    with folder_for(place_of_it) as folder:
+    with folder_for(destination) as folder:
         try:
             with (
                 ItemsFile(folder, resume=resume) as items,
@@ -167,7 +167,7 @@ def optimise(
         except KeyboardInterrupt as stop:
             raise InterruptedRunError(
                 f"stopped; what was tried is kept in {folder}",
-                hint=f"go on with --out {place_of_it} --resume",
+                hint=f"go on with --out {destination} --resume",
             ) from stop
         files = write_comparison(folder, compared, rest, terms=terms, command=sys.argv[1:], began=began)
         for name in (TRIED, KEPT):
@@ -177,7 +177,7 @@ def optimise(
     for line in _last_word(chosen[0], field, last, compared):
         console.print(line, highlight=False, markup=False, soft_wrap=True)
     for file in (folder / TRIALS, *files):
-        console.print(f"  {place_of_it / file.relative_to(folder)}", highlight=False, soft_wrap=True)
+        console.print(f"  {destination / file.relative_to(folder)}", highlight=False, soft_wrap=True)
 
 
 def _table(as_it_is: Trial, chosen: Sequence[Trial], last: Trueness, compared: Sequence[Compared]) -> Table:
