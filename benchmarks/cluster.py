@@ -6,8 +6,9 @@
     each, and workers, at moments drawn at random, and what was killed is started again with --resume. At the
     end the record (of `compare`, its items) must be, byte for byte, that of a run nobody disturbed.
 ``python -m benchmarks cluster throughput [--rows 5000] [--recipe recipes/herring_roe]``
-    Measures so many rows with two processes, then on a scheduler with one and with two workers: products a
-    second once all are at work, and the processor time of scheduler and client.
+    Measures so many rows with a pool of one and of two processes, then on a scheduler with one and with two
+    workers: products a second once all are at work, and the processor time of scheduler and client. What two
+    processes gain over one is all that this machine's second core has to give.
 ``python -m benchmarks cluster scaling [--workers 1 4 16 64] [--task 0.1]``
     Tasks that sleep, on so many workers in threads of this process: throughput over that of as many workers
     that lose nothing.
@@ -29,11 +30,13 @@ from collections import Counter
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import psutil
 
 from roemetry import Recipe, run_recipe
-from roemetry.run.cluster import Cluster
+from roemetry.run.cluster import QUIET, Cluster
 from roemetry.run.workers import Processes
 
 _RECIPE = Path("recipes/herring_roe")
@@ -158,9 +161,10 @@ def _throughput(path: Path, folder: Path, rows: int) -> None:
     address = f"tcp://127.0.0.1:{_PORT}"
     run_recipe(Recipe.load(path, sets=["sinks=[]"]), folder / "warm")
     print("| by | products a second | client, ms a product | scheduler, ms a product |\n|---|---|---|---|")
-    for name, workers in (("2 processes", 0), ("cluster of 1 worker", 1), ("cluster of 2 workers", 2)):
+    for count, workers in ((1, 0), (2, 0), (1, 1), (2, 2)):
+        name = f"cluster of {workers}" if workers else f"pool of {count}"
         made = _cluster(workers) if workers else ()
-        executor = Cluster(address) if workers else Processes(2)
+        executor = Cluster(address) if workers else Processes(count)
         moments: list[tuple[float, float, float]] = []
         look = partial(_look, moments, made[0].pid if made else None)
         try:
@@ -168,10 +172,9 @@ def _throughput(path: Path, folder: Path, rows: int) -> None:
         finally:
             for process in made:
                 process.kill()
-        first, last = len(moments) // 4, len(moments) - len(moments) // 10
-        wall, client, scheduler = (
-            (b - a) / (last - first) for a, b in zip(moments[first], moments[last], strict=True)
-        )
+        # rows come chunk by chunk: a line through the last two thirds, when all have long been at work
+        later = np.array(moments[len(moments) // 3 :])
+        wall, client, scheduler = np.polyfit(np.arange(len(later)), later - later[0], 1)[0]
         print(f"| {name} | {1.0 / wall:.1f} | {1e3 * client:.2f} | {1e3 * scheduler:.2f} |", flush=True)
 
 
@@ -227,7 +230,13 @@ _ROEMETRY = (sys.executable, "-m", "roemetry")
 
 
 def _cluster(workers: int = 2) -> tuple[subprocess.Popen[bytes], subprocess.Popen[bytes]]:
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    # dask reads these variables as its settings
+    settings = {f"DASK_{key.replace('.', '__').replace('-', '_').upper()}": str(QUIET[key]) for key in QUIET}
+    quiet: Any = {
+        "stdout": subprocess.DEVNULL,
+        "stderr": subprocess.DEVNULL,
+        "env": os.environ | settings,
+    }
     scheduler = subprocess.Popen(
         [sys.executable, "-m", "dask", "scheduler", "--port", str(_PORT), "--no-dashboard"], **quiet
     )
