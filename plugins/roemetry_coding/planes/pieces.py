@@ -279,12 +279,12 @@ def on_rest_line(
         if told[p] and least_px[p] > still_px:
             still[p] = -1
     for t in range(start.shape[0] - 1):
-        n = start[t] + 1
+        n = start[t]
         while n < start[t + 1]:
             s, begin = still[order[n]], n
             while n < start[t + 1] and still[order[n]] == s:
                 n += 1
-            if s < 0 or n - begin >= _LEAST_ROWS or n == start[t + 1]:
+            if s < 0 or n - begin >= _LEAST_ROWS or begin == start[t] or n == start[t + 1]:
                 continue
             before, after = order[begin - 1], order[n]
             if (x_px[before] < rest_px[s, row[before]]) == (x_px[after] > rest_px[s, row[after]]):
