@@ -229,7 +229,7 @@ def _within(
     """Mark the refused peaks within a product's reach, which grows by those that were found."""
     reach = _REACH_SPACINGS * spacing_px
     lit, places = np.flatnonzero(mine.any(axis=0)), x_px[mine]
-    near = (row >= lit[0] - _REACH_ROWS) & (row <= lit[-1] + _REACH_ROWS) & ~belt
+    near: Flags = (row >= lit[0] - _REACH_ROWS) & (row <= lit[-1] + _REACH_ROWS) & ~belt
     near = near & (place_px >= places.min() - reach) & (place_px <= places.max() + reach)
     if not near.any():  # most often; and what no peak has made grow reaches no farther
         return near

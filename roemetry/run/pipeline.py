@@ -406,6 +406,8 @@ def _with_open_points(found: ProductTrace, opened: Mapping[int, OpenPart]) -> Pr
 def _too_high(product: Product) -> Reason | None:
     """Say why nothing can be stated of a product that is higher than the calibration was made for."""
     high_mm = product.calibration.height_range_mm[1]
+    if not product.height_max_mm > high_mm + _HEIGHT_SLACK_MM:
+        return None
     heights = product.profiles.xyz_mm[:, :, 2]
     heights = heights[np.isfinite(heights)]
     beyond = int(np.count_nonzero(heights > high_mm + _HEIGHT_SLACK_MM))
