@@ -265,13 +265,12 @@ def _inside(outline: Outline, row: Floats | Integers, x_px: Floats) -> Flags:
     low, high = outline.xy_px.min(axis=0), outline.xy_px.max(axis=0)
     near = np.flatnonzero((x_px >= low[0]) & (x_px <= high[0]) & (row >= low[1]) & (row <= high[1]))
     if near.size:
-        x0, y0 = outline.xy_px.T[:, :, None]
-        x1, y1 = np.roll(outline.xy_px, -1, axis=0).T[:, :, None]
-        at = row[near]
-        crossed = (y0 <= at) != (y1 <= at)
-        with np.errstate(divide="ignore", invalid="ignore"):  # level edges cross no row
-            crossed &= x0 + (at - y0) * (x1 - x0) / (y1 - y0) < x_px[near]
-        inside[near] = crossed.sum(axis=0) % 2 == 1
+        (x0, y0), (x1, y1) = outline.xy_px.T, np.roll(outline.xy_px, -1, axis=0).T
+        at, place = row[near], x_px[near]
+        edge, of = ((y0[:, None] <= at) != (y1[:, None] <= at)).nonzero()  # few edges cross a row
+        x0, y0, x1, y1 = x0[edge], y0[edge], x1[edge], y1[edge]
+        left = x0 + (at[of] - y0) * (x1 - x0) / (y1 - y0) < place[of]
+        inside[near] = np.bincount(of[left], minlength=near.size) % 2 == 1
     return inside
 
 
