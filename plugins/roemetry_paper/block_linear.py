@@ -7,12 +7,14 @@ outlines, not exact.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
-from roemetry.records.arrays import Floats
+from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.view import View, undistort
 from roemetry.stages import Capabilities, StageOptions, Triangulator
@@ -46,43 +48,33 @@ class BlockLinear(Triangulator[StageOptions]):
             raise StageError(
                 f"the stripes have {stripes.rows} rows, the calibration's images {calibration.image_size[0]}"
             )
-        omega = calibration.parameters["omega_mm_per_px"]
-        scale = float(calibration.parameters["mm_per_px"][0])
-        rows, columns = calibration.image_size
-        count = stripes.stripe_count
-        row_px = np.broadcast_to(np.arange(rows, dtype=np.float64), (count, rows))
-        xyz_mm = np.empty((count, rows, 3))
-        from_middle = np.arange(rows, dtype=np.float64) - (rows - 1) / 2.0
-        rest_px, bow = _rest_px(calibration), bow_per_px2(calibration)
-        if bow or rest_px is not calibration.rest_px:
+        rig = _rig_of(calibration)
+        omega, scale, middle_px = rig.omega_mm_per_px, rig.mm_per_px, (calibration.image_size[1] - 1) / 2.0
+        x_px = stripes.x_px
+        if rig.bow_per_px2 or rig.rest_px is not calibration.rest_px:
             away_px, straight = displacements(
-                stripes.x_px, from_middle, rest_px.T[:, :, None], (columns - 1) / 2.0, bow
+                x_px, rig.from_middle, rig.rest_px.T[:, :, None], middle_px, rig.bow_per_px2
             )
-            x_px, down_px = straight[..., 0], straight[..., 1]
+            across_px, down_px = straight[..., 0], straight[..., 1]
         else:
-            away_px, x_px, down_px = (
-                stripes.x_px - stripes.rest_px,
-                stripes.x_px - (columns - 1) / 2.0,
-                from_middle,
-            )
-        per_distance = _per_distance(calibration)
-        growth = calibration.parameters.get("growth_per_px", np.zeros(1))[0]
-        height_mm = omega[:, None] * away_px / (1.0 + growth * down_px)
-        height_mm /= 1.0 + per_distance * height_mm
-        shrunk = 1.0 - per_distance * height_mm
-        xyz_mm[:, :, 0] = x_px * scale * shrunk
+            away_px, across_px, down_px = x_px - stripes.rest_px, x_px - middle_px, rig.from_middle
+        height_mm = omega[:, None] * away_px / (1.0 + rig.growth_per_px * down_px)
+        height_mm /= 1.0 + rig.per_distance * height_mm
+        shrunk = 1.0 - rig.per_distance * height_mm
+        xyz_mm = np.empty((*x_px.shape, 3))
+        xyz_mm[:, :, 0] = across_px * scale * shrunk
         xyz_mm[:, :, 1] = -down_px * scale * shrunk
         xyz_mm[:, :, 2] = height_mm
         return Profiles(
             xyz_mm=xyz_mm,
             product=stripes.product,
             seen=stripes.seen,
-            x_px=stripes.x_px,
-            row_px=row_px,
+            x_px=x_px,
+            row_px=rig.row_px,
             height_std_mm=np.abs(omega)[:, None] * shrunk**2 * stripes.x_std_px,
-            stripe=np.arange(count),
-            frame=np.zeros(count, np.int64),
-            plane=light_planes(rest_px, omega, scale, (columns - 1) / 2.0, per_distance),
+            stripe=rig.stripe,
+            frame=rig.frame,
+            plane=rig.plane,
         )
 
     def moved(self, calibration: Calibration, alignment: Alignment) -> Calibration:
@@ -146,6 +138,44 @@ class BlockLinear(Triangulator[StageOptions]):
             None if not _per_distance(calibration) else 1.0 / _per_distance(calibration),
             bow_per_px2(calibration),
         )
+
+
+class _Rig(NamedTuple):
+    """What all frames of a calibration have in common; names as in the calibration's parameters.
+
+    `plane` and the four before it are what `Profiles` holds; `from_middle` (row,) px.
+    """
+
+    omega_mm_per_px: Floats
+    mm_per_px: float
+    growth_per_px: float
+    per_distance: float
+    bow_per_px2: float
+    rest_px: Floats
+    from_middle: Floats
+    row_px: Floats
+    stripe: Integers
+    frame: Integers
+    plane: Floats
+
+
+@lru_cache(maxsize=8)
+def _rig_of(calibration: Calibration) -> _Rig:
+    """Give what all frames of a calibration have in common, found once."""
+    known = calibration.parameters
+    (rows, columns), count = calibration.image_size, calibration.stripe_count
+    omega, scale = known["omega_mm_per_px"], float(known["mm_per_px"][0])
+    rest_px, per_distance = _rest_px(calibration), _per_distance(calibration)
+    row = np.arange(rows, dtype=np.float64)
+    stripe, frame = np.arange(count), np.zeros(count, np.int64)
+    plane = light_planes(rest_px, omega, scale, (columns - 1) / 2.0, per_distance)
+    for shared in (stripe, frame, plane):
+        shared.flags.writeable = False
+    growth = float(known.get("growth_per_px", np.zeros(1))[0])
+    return _Rig(
+        omega, scale, growth, per_distance, bow_per_px2(calibration), rest_px, row - (rows - 1) / 2.0,
+        np.broadcast_to(row, (count, rows)), stripe, frame, plane,
+    )  # fmt: skip
 
 
 _GROW = ("omega_mm_per_px", "mm_per_px")

@@ -41,6 +41,9 @@ _BORDER_PX = 64  # nearer than that the border may cut off a stripe's foot
 _EDGE_SIGMAS = 2.5  # a stripe nearer to the border than that is not seen whole
 
 
+_ONE = np.uint64(1)  # unsigned, which no index from the end can be
+
+
 class Stripes(NamedTuple):
     """Stripes that cross image rows, measured roughly, sorted by row, then column; one element a peak.
 
@@ -162,23 +165,25 @@ def _crossings(levels: Pixels, level: float, first: int, last: int, lo: int, hi:
 
     Where they do not within `lo` … `hi`, the crossing is put there.
     """
-    whole = int(np.ceil(level))
-    while levels[first] < whole and first < last:
-        first += 1
-    while levels[last] < whole and last > first:
-        last -= 1
-    x = first
-    while x > lo and levels[x] >= whole:
-        x -= 1
-    left = float(x)
+    # Unsigned, which no index from the end can be.
+    whole, from_at, to_at = int(np.ceil(level)), np.uint64(first), np.uint64(last)
+    lowest, highest = np.uint64(lo), np.uint64(hi)
+    while levels[from_at] < whole and from_at < to_at:
+        from_at += _ONE
+    while levels[to_at] < whole and to_at > from_at:
+        to_at -= _ONE
+    x = from_at
+    while x > lowest and levels[x] >= whole:
+        x -= _ONE
+    left = float(np.int64(x))
     if levels[x] < whole:
-        left += (level - levels[x]) / (float(levels[x + 1]) - float(levels[x]))
-    x = last
-    while x < hi and levels[x] >= whole:
-        x += 1
-    right = float(x)
+        left += (level - levels[x]) / (float(levels[x + _ONE]) - float(levels[x]))
+    x = to_at
+    while x < highest and levels[x] >= whole:
+        x += _ONE
+    right = float(np.int64(x))
     if levels[x] < whole:
-        right -= (level - levels[x]) / (float(levels[x - 1]) - float(levels[x]))
+        right -= (level - levels[x]) / (float(levels[x - _ONE]) - float(levels[x]))
     return left, right
 
 
@@ -201,7 +206,7 @@ def _foot(levels: Pixels, begin: int, end: int, high: float) -> float:
         for k in range(np.uint64(_FEET_PX)):
             total += min(int(levels[at + k]), most)
         return total / _FEET_PX
-    for x in range(begin, end):
+    for x in range(np.uint64(begin), np.uint64(max(begin, end))):
         total += min(int(levels[x]), most)
     return total / max(end - begin, 1)
 
@@ -341,8 +346,7 @@ _BLOCK = 16  # pixels looked at together: one vector
 _DARKER = 0.125  # of the height: by less it does not get darker
 _SHALLOW = 0.45  # a valley less deep than that share of the lower of two tops is a dent in one stripe
 _SHALLOW_OF_300 = round(300 * _SHALLOW)
-# Unsigned, which no index from the end can be.
-_ONE, _NEAR = np.uint64(1), np.uint64(_NEAR_PX)
+_NEAR = np.uint64(_NEAR_PX)
 
 
 @float_kernel
@@ -473,7 +477,7 @@ def lowest_before(levels: Pixels, begin: int, end: int) -> int:
         if found + _DARKER * (int(levels[end]) - found) >= low and x + _BLOCK < end:
             return min(low, found)
         low = min(low, found)
-    for k in range(begin, x):
+    for k in range(np.uint64(begin), np.uint64(max(x, begin))):
         low = min(low, int(levels[k]))
     return low
 
@@ -489,7 +493,7 @@ def lowest_after(levels: Pixels, begin: int, end: int) -> int:
             return min(low, found)
         low = min(low, found)
         x += _BLOCK
-    for k in range(x, end):
+    for k in range(np.uint64(x), np.uint64(max(x, end))):
         low = min(low, int(levels[k]))
     return low
 

@@ -16,7 +16,7 @@ are sure.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -88,34 +88,55 @@ def open_parts(
     pieces of one body that only what is open holds together.
     """
     refused = np.flatnonzero(stripes.peak_stripe == AMBIGUOUS)
-    row, x_px = peaks.row[refused], peaks.x_px[refused]
-    spacing_px = _spacing_px(stripes)
-    shown = _shown_across(stripes, row, x_px, _ACROSS_SPACINGS * spacing_px)
-    row, x_px = row[~shown], x_px[~shown]
-    beside_px = np.full(row.size, np.inf)
-    if np.isfinite(stripes.rest_px).any():
-        distance = np.abs(stripes.rest_px[:, row] - x_px)
-        beside_px = np.where(np.isnan(distance), np.inf, distance).min(axis=0, initial=np.inf)
-    off_belt = beside_px > _REST_SPACINGS * spacing_px
+    open_ = _Refused.of(peaks, stripes, refused) if refused.size else None
     found = {}
     for number in range(1, int(stripes.product.max(initial=0)) + 1):
         mine = (stripes.product == number) & stripes.seen
-        if not mine.any():
+        sure = int(np.count_nonzero(mine))
+        if not sure:
             continue
         own = [outline for outline in outlines if outline.product == number]
-        outside = [~_inside(outline, row, x_px) for outline in own]
-        belt = ~off_belt & np.logical_and.reduce(outside) if own else np.zeros(row.size, np.bool_)
-        part = _within(mine, stripes.x_px, row, x_px, off_belt, belt, spacing_px)
-        for outline in own:
-            part |= _well_inside(outline, row, x_px, _DEPTH_SPACINGS * spacing_px)
-        sure = int(np.count_nonzero(mine))
-        if part.any():
-            at, place = row[part], x_px[part]
+        part = np.zeros(0, np.bool_) if open_ is None else open_.within(mine, stripes.x_px, own)
+        if open_ is not None and part.any():
+            at, place = open_.row[part], open_.x_px[part]
             where = (int(at.min()), int(at.max())), (float(place.min()), float(place.max()))
             found[number] = OpenPart(int(np.count_nonzero(part)), sure, *where)
         else:
             found[number] = OpenPart(0, sure)
     return found
+
+
+class _Refused(NamedTuple):
+    """Refused peaks of a frame that no line across shows the height of, (peak,) each."""
+
+    row: Integers
+    x_px: Floats
+    off_belt: Flags
+    """Whether it lies off the rest lines."""
+    spacing_px: float
+    """Distance of rest lines."""
+
+    @classmethod
+    def of(cls, peaks: Peaks, stripes: StripeMap, refused: Integers) -> _Refused:
+        """Look at the peaks with these numbers."""
+        row, x_px = peaks.row[refused], peaks.x_px[refused]
+        spacing_px = _spacing_px(stripes)
+        shown = _shown_across(stripes, row, x_px, _ACROSS_SPACINGS * spacing_px)
+        row, x_px = row[~shown], x_px[~shown]
+        distance = np.abs(stripes.rest_px[:, row] - x_px)
+        beside_px = np.where(np.isnan(distance), np.inf, distance).min(axis=0, initial=np.inf)
+        return cls(row, x_px, beside_px > _REST_SPACINGS * spacing_px, spacing_px)
+
+    def within(self, mine: Flags, x_px: Floats, outlines: Sequence[Outline]) -> Flags:
+        """Say which of them leave a product open, whose seen points and outlines are given."""
+        inside = [_inside(outline, self.row, self.x_px) for outline in outlines]
+        belt = np.zeros(self.row.size, np.bool_)
+        if inside:
+            belt = ~self.off_belt & ~np.logical_or.reduce(inside)
+        part = _within(mine, x_px, self.row, self.x_px, self.off_belt, belt, self.spacing_px)
+        for outline, held in zip(outlines, inside, strict=True):
+            part |= _well_inside(outline, held, self.row, self.x_px, _DEPTH_SPACINGS * self.spacing_px)
+        return part
 
 
 def _shown_across(stripes: StripeMap, row: Integers, x_px: Floats, within_px: float) -> Flags:
@@ -206,15 +227,19 @@ def _within(
     spacing_px: float,
 ) -> Flags:  # fmt: skip
     """Mark the refused peaks within a product's reach, which grows by those that were found."""
-    rows = mine.shape[1]
+    reach = _REACH_SPACINGS * spacing_px
+    lit, places = np.flatnonzero(mine.any(axis=0)), x_px[mine]
+    near: Flags = (row >= lit[0] - _REACH_ROWS) & (row <= lit[-1] + _REACH_ROWS) & ~belt
+    near = near & (place_px >= places.min() - reach) & (place_px <= places.max() + reach)
+    if not near.any():  # most often; and what no peak has made grow reaches no farther
+        return near
     low = np.where(mine, x_px, np.inf).min(axis=0)
     high = np.where(mine, x_px, -np.inf).max(axis=0)
     found = np.zeros(row.size, np.bool_)
     for _ in range(mine.shape[0]):
-        near_low, near_high = _filled(low, np.inf, rows), _filled(high, -np.inf, rows)
-        reach = _REACH_SPACINGS * spacing_px
+        near_low, near_high = _filled(low, np.inf, row), _filled(high, -np.inf, row)
         inside = (place_px >= low[row]) & (place_px <= high[row])
-        beside = (place_px >= near_low[row] - reach) & (place_px <= near_high[row] + reach) & off_belt
+        beside = (place_px >= near_low - reach) & (place_px <= near_high + reach) & off_belt
         more = (inside | beside) & ~found & ~belt
         if not more.any():
             break
@@ -224,12 +249,13 @@ def _within(
     return found
 
 
-def _well_inside(outline: Outline, row: Integers, x_px: Floats, depth_px: float) -> Flags:
-    """Say which places lie inside an outline, and so far to every side, too."""
-    found = _inside(outline, row, x_px)
+def _well_inside(outline: Outline, inside: Flags, row: Integers, x_px: Floats, depth_px: float) -> Flags:
+    """Say of places, of which it is known which lie inside an outline, which do so far to every side, too."""
+    found = inside.copy()
     some = np.flatnonzero(found)
-    for right, down in ((depth_px, 0.0), (-depth_px, 0.0), (0.0, depth_px), (0.0, -depth_px)):
-        found[some] &= _inside(outline, np.float64(down) + row[some], x_px[some] + right)
+    right, down = depth_px * np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])[:, :, None]
+    beside = _inside(outline, (row[some] + down).ravel(), (x_px[some] + right).ravel())
+    found[some] = beside.reshape(4, -1).all(axis=0)
     return found
 
 
@@ -239,24 +265,22 @@ def _inside(outline: Outline, row: Floats | Integers, x_px: Floats) -> Flags:
     low, high = outline.xy_px.min(axis=0), outline.xy_px.max(axis=0)
     near = np.flatnonzero((x_px >= low[0]) & (x_px <= high[0]) & (row >= low[1]) & (row <= high[1]))
     if near.size:
-        x0, y0 = outline.xy_px.T[:, :, None]
-        x1, y1 = np.roll(outline.xy_px, -1, axis=0).T[:, :, None]
-        at = row[near]
-        crossed = (y0 <= at) != (y1 <= at)
-        with np.errstate(divide="ignore", invalid="ignore"):  # level edges cross no row
-            crossed &= x0 + (at - y0) * (x1 - x0) / (y1 - y0) < x_px[near]
-        inside[near] = crossed.sum(axis=0) % 2 == 1
+        (x0, y0), (x1, y1) = outline.xy_px.T, np.roll(outline.xy_px, -1, axis=0).T
+        at, place = row[near], x_px[near]
+        edge, of = ((y0[:, None] <= at) != (y1[:, None] <= at)).nonzero()  # few edges cross a row
+        x0, y0, x1, y1 = x0[edge], y0[edge], x1[edge], y1[edge]
+        left = x0 + (at[of] - y0) * (x1 - x0) / (y1 - y0) < place[of]
+        inside[near] = np.bincount(of[left], minlength=near.size) % 2 == 1
     return inside
 
 
-def _filled(edge: Floats, empty: float, rows: int) -> Floats:
-    """Carry an edge on over rows without a point, from the nearest row with one."""
+def _filled(edge: Floats, empty: float, row: Integers) -> Floats:
+    """Give a product's edge at some rows; where it has no point, that of the nearest row with one."""
     known = np.flatnonzero(edge != empty)
-    at = np.arange(rows)
-    after = np.clip(np.searchsorted(known, at), 0, known.size - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(np.abs(known[before] - at) <= np.abs(known[after] - at), known[before], known[after])
-    return np.where(np.abs(nearest - at) <= _REACH_ROWS, edge[nearest], empty)
+    after = np.minimum(np.searchsorted(known, row), known.size - 1)
+    before = known[np.maximum(after - 1, 0)]
+    nearest = np.where(np.abs(before - row) <= np.abs(known[after] - row), before, known[after])
+    return np.where(np.abs(nearest - row) <= _REACH_ROWS, edge[nearest], empty)
 
 
 _NOTHING = np.int16(NOTHING)

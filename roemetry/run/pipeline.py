@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
@@ -38,7 +39,7 @@ from roemetry.run.open_parts import OpenPart, open_parts, said_of, split_product
 from roemetry.run.preprocess import prepare, prepare_plain
 from roemetry.run.scan import Placing, cut_by_scan, gather, measured_by_another, placed_only
 from roemetry.run.stage_errors import describe_failure, is_refusal, plugin_frame
-from roemetry.run.time_limit import StageTimeout, time_limit
+from roemetry.run.time_limit import StageTimeout, time_limit, timer_kept
 from roemetry.run.transport_faults import check_joins
 from roemetry.stages.kinds import check_result_type
 
@@ -107,6 +108,10 @@ class Pipeline:
 
         With `surfaces`, the surface behind each volume is kept for drawings.
         """
+        with nullcontext() if self.recipe.stage_timeout_s is None else timer_kept():
+            return self._trace(acquisition, surfaces)
+
+    def _trace(self, acquisition: Acquisition, surfaces: bool) -> Trace:
         steps = _Steps(self.recipe, self._debug)
         if acquisition.lines is not None or acquisition.profiles is not None:
             return self._trace_slices(acquisition, steps, surfaces)
@@ -401,6 +406,8 @@ def _with_open_points(found: ProductTrace, opened: Mapping[int, OpenPart]) -> Pr
 def _too_high(product: Product) -> Reason | None:
     """Say why nothing can be stated of a product that is higher than the calibration was made for."""
     high_mm = product.calibration.height_range_mm[1]
+    if not product.height_max_mm > high_mm + _HEIGHT_SLACK_MM:
+        return None
     heights = product.profiles.xyz_mm[:, :, 2]
     heights = heights[np.isfinite(heights)]
     beyond = int(np.count_nonzero(heights > high_mm + _HEIGHT_SLACK_MM))

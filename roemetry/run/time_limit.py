@@ -7,16 +7,16 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from types import FrameType
+from typing import Any
 
 
 class StageTimeout(BaseException):
     """Raised within a stage whose time is up. No `Exception`, so that no ``except Exception`` keeps it."""
 
 
-@contextmanager
-def time_limit(limit_s: float | None) -> Iterator[None]:
+def time_limit(limit_s: float | None) -> AbstractContextManager[None]:
     """Raise `StageTimeout` in what runs within once it has taken `limit_s` seconds; None: no limit.
 
     In a process's main thread the system's timer does it, where there is one (not on Windows): it wakes what
@@ -24,18 +24,27 @@ def time_limit(limit_s: float | None) -> Iterator[None]:
     what sleeps or waits there is interrupted when it returns. So is compiled code, in every thread.
     """
     if limit_s is None:
+        return nullcontext()
+    return _ByTimer(limit_s) if _has_timer() else _by_watch(limit_s)
+
+
+@contextmanager
+def timer_kept() -> Iterator[None]:
+    """Take the system's timer for all limits within at once: for each by itself it takes as long as a stage.
+
+    Only a main thread has one, and only where nobody else has set it; else nothing is done.
+    """
+    if not _has_timer() or not _timer.take():
         yield
-    elif threading.current_thread() is threading.main_thread() and hasattr(signal, "setitimer"):
-        with _alarm(limit_s):
-            yield
-    else:
-        thread = threading.get_ident()
-        begun = _watch.begin(thread, limit_s)
-        try:
-            yield
-        finally:
-            if begun:
-                _watch.end(thread)
+        return
+    try:
+        yield
+    finally:
+        _timer.give_back()
+
+
+def _has_timer() -> bool:
+    return threading.current_thread() is threading.main_thread() and hasattr(signal, "setitimer")
 
 
 @contextmanager
@@ -44,7 +53,7 @@ def not_counted() -> Iterator[None]:
 
     In a main thread with a timer, that of whoever set it.
     """
-    if threading.current_thread() is threading.main_thread() and hasattr(signal, "setitimer"):
+    if _has_timer():
         left_s = signal.setitimer(signal.ITIMER_REAL, 0.0)[0]
         try:
             yield
@@ -60,22 +69,74 @@ def not_counted() -> Iterator[None]:
             _watch.begin(thread, left)
 
 
+class _ByTimer:
+    """A limit in the main thread; a class, since every stage of every frame has one."""
+
+    __slots__ = ("_begun", "_limit_s", "_took")
+
+    def __init__(self, limit_s: float) -> None:
+        self._limit_s = limit_s
+
+    def __enter__(self) -> None:
+        self._took = _timer.take()
+        self._begun = _timer.begin(self._limit_s)
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            if self._begun:
+                _timer.end()
+        finally:
+            if self._took:
+                _timer.give_back()
+
+
 @contextmanager
-def _alarm(limit_s: float) -> Iterator[None]:
-    if signal.getitimer(signal.ITIMER_REAL)[0]:  # somebody else's: it is not ours to set
-        yield
-        return
-
-    def expired(number: int, frame: FrameType | None) -> None:
-        raise StageTimeout
-
-    before = signal.signal(signal.SIGALRM, expired)
-    signal.setitimer(signal.ITIMER_REAL, limit_s)
+def _by_watch(limit_s: float) -> Iterator[None]:
+    thread = threading.get_ident()
+    begun = _watch.begin(thread, limit_s)
     try:
         yield
     finally:
+        if begun:
+            _watch.end(thread)
+
+
+class _Timer:
+    """Raises `StageTimeout` in the main thread, by the system's timer."""
+
+    def __init__(self) -> None:
+        self._before: Any = None
+        self._taken = self._runs = False
+
+    def take(self) -> bool:
+        """Have the timer's signal raise; False where that is so already, or the timer is somebody else's."""
+        if self._taken or signal.getitimer(signal.ITIMER_REAL)[0]:
+            return False
+        self._before = signal.signal(signal.SIGALRM, self._expired)
+        self._taken = True
+        return True
+
+    def give_back(self) -> None:
+        """Leave the signal to whoever had it."""
+        self._taken = False
+        signal.signal(signal.SIGALRM, self._before)
+
+    def begin(self, limit_s: float) -> bool:
+        """Begin a limit; False where one runs already, which stays, or the timer is not ours."""
+        if self._runs or not self._taken:
+            return False
+        self._runs = True
+        signal.setitimer(signal.ITIMER_REAL, limit_s)
+        return True
+
+    def end(self) -> None:
+        """End the limit that runs."""
+        self._runs = False
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+
+    def _expired(self, number: int, frame: FrameType | None) -> None:
+        self._runs = False
+        raise StageTimeout
 
 
 class _Watch:
@@ -91,7 +152,7 @@ class _Watch:
     def begin(self, thread: int, limit_s: float) -> bool:
         """Give a thread so long from now; False where it has a limit already, which stays."""
         with self._changed:
-            if thread in self._ends:
+            if thread in self._ends or thread in self._raised:  # one whose time is up is on its way, too
                 return False
             if not self._started:
                 self._started = True
@@ -136,4 +197,5 @@ def _raise_in(thread: int, error: type[BaseException] | None) -> None:
     ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), given)
 
 
+_timer = _Timer()
 _watch = _Watch()

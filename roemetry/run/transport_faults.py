@@ -120,8 +120,13 @@ def _varied(stretches: NDArray[np.uint64]) -> NDArray[np.bool_]:
 
 def check_lines(laser: Frame) -> None:
     """Refuse an image with lines that no sensor gives: sent twice, or filled with one grey level."""
-    for lines, what in ((laser.pixels, "row"), (laser.pixels.swapaxes(0, 1), "column")):
-        found = _repeated(lines)
+    import cv2
+
+    pixels = laser.pixels
+    by_row = pixels[:, ::_SAMPLED]
+    by_column = cv2.transpose(np.ascontiguousarray(pixels[::_SAMPLED]))
+    for lines, some, what in ((pixels, by_row, "row"), (pixels.swapaxes(0, 1), by_column, "column")):
+        found = _repeated(lines, some)
         if found is not None:
             raise DataError(
                 f"{laser.name}: the {what} {found} and others have the very content of {what}s before them, "
@@ -130,9 +135,9 @@ def check_lines(laser: Frame) -> None:
             )
 
 
-def _repeated(lines: NDArray[Any]) -> int | None:
-    """Give the first of the lines that repeat others; None of none."""
-    sampled = np.ascontiguousarray(lines[:, ::_SAMPLED]).reshape(len(lines), -1)
+def _repeated(lines: NDArray[Any], some: NDArray[Any]) -> int | None:
+    """Give the first of the lines that repeat others; None of none. `some`: every eighth of their pixels."""
+    sampled = np.ascontiguousarray(some).reshape(len(lines), -1)
     words = _words(sampled)
     if words.size and _same_at_ends(words).any():
         filled = _filled(lines, (words == words[:, :1]).all(axis=1))
@@ -200,11 +205,12 @@ def check_joins(frame: Frame) -> None:
     brightest = 99 * some.size // 100
     bright = float(np.partition(some, brightest)[brightest])
     least = int(max(_STEP_SHARE * bright, _STEP_MIN * frame.white))
-    for what, lines in (("rows", frame.pixels), ("columns", cv2.transpose(frame.pixels))):
-        enough = _JOINED_SHARE * lines.shape[1]
-        may_be = _per_boundary(_steps(lines, 1) > least) > enough
-        if not may_be.any():  # nearly always, across the stripes
+    for what, axis in (("rows", 0), ("columns", 1)):
+        enough = _JOINED_SHARE * frame.size[1 - axis]
+        may_be = _may_be_joined(frame.pixels, axis, least, enough)
+        if not may_be.any():  # nearly always
             continue
+        lines = frame.pixels if axis == 0 else cv2.transpose(frame.pixels)
         joined, alternate = _steep_steps(lines, least, _with_neighbours(may_be, _BESIDE))
         count = np.maximum(alternate, joined - _TIMES_BESIDE * _most_beside(joined))
         place = int(count.argmax())
@@ -214,6 +220,37 @@ def check_joins(frame: Frame) -> None:
                 "than any lens draws: lines are lost there, or a part is another frame's",
                 hint="look at cable, network and frame grabber; take the image again",
             )
+
+
+def _may_be_joined(pixels: NDArray[Any], axis: int, least: int, enough: float) -> NDArray[np.bool_]:
+    """Say at which boundaries between rows (axis 0) or columns (1) there may be enough steep steps.
+
+    Of a step s that is at once or to and fro, the pixels on both sides of its own differ by 1.5 s at most; of
+    a stripe's flank by twice that. So what takes all pixels around a step is hardly ever asked.
+    """
+    import cv2
+
+    (rows, columns), line = pixels.shape, pixels.reshape(-1)
+    next_ = columns if axis == 0 else 1
+    boundaries = (rows, columns)[axis] - 1
+
+    def apart(far: int) -> NDArray[Any]:
+        """Give by how much pixels differ, in one line: what crosses the ends of rows is not counted."""
+        return np.asarray(cv2.absdiff(line[: -far * next_], line[far * next_ :])).ravel()
+
+    def counted(found: NDArray[np.bool_]) -> Integers:
+        whole = found.view(np.uint8).reshape(rows, columns)
+        sums: Integers = cv2.reduce(whole, 1 - axis, cv2.REDUCE_SUM, dtype=cv2.CV_32S)
+        return sums.ravel()[:boundaries]
+
+    step, steep = apart(1), np.zeros(line.size, np.bool_)
+    np.greater(step, least, out=steep[:-next_])
+    may_be = counted(steep) > enough
+    if may_be.any() and boundaries > _REACH:
+        beyond, inner = cv2.subtract(apart(3), step[next_:-next_]).ravel(), steep[next_ : -2 * next_]
+        inner &= beyond <= step[next_:-next_] >> 1
+        may_be = counted(steep) > enough
+    return may_be
 
 
 def _steep_steps(lines: NDArray[Any], least: int, wanted: NDArray[np.bool_]) -> tuple[Integers, Integers]:

@@ -1,14 +1,15 @@
-"""Limits in threads that are not the main one, such as those of a cluster's workers."""
+"""Limits in the main thread, and in others, such as those of a cluster's workers."""
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from roemetry.run.time_limit import StageTimeout, time_limit
+from roemetry.run.time_limit import StageTimeout, time_limit, timer_kept
 
 
 def works_for(seconds: float) -> None:
@@ -64,3 +65,28 @@ def test_a_limit_holds_in_every_thread_alone(does: Callable[[], str], comes_to: 
         beside = pool.submit(works_for, 0.3)
         assert pool.submit(does).result() == comes_to
         beside.result()
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timer")
+def test_a_timer_that_is_kept_holds_each_limit_and_goes_back() -> None:
+    before = signal.getsignal(signal.SIGALRM)
+    with timer_kept():
+        with time_limit(60.0):
+            pass
+        for _ in range(2):  # also after one that was up
+            with pytest.raises(StageTimeout), time_limit(0.05), time_limit(60.0):
+                works_for(60.0)
+        works_for(0.1)  # nothing runs between limits
+    assert signal.getsignal(signal.SIGALRM) is before
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timer")
+def test_a_timer_of_somebody_else_is_left_alone() -> None:
+    signal.setitimer(signal.ITIMER_REAL, 60.0)
+    try:
+        with timer_kept(), time_limit(0.01):
+            works_for(0.05)
+        assert signal.getitimer(signal.ITIMER_REAL)[0] > 50.0
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
