@@ -24,7 +24,7 @@ from benchmarks.extraction.drawing import (
     stripes_of,
     unseen_stripes,
 )
-from benchmarks.extraction.methods import Method, extractors, found_in, frame_of
+from benchmarks.extraction.methods import Method, found_in, frame_of, there
 from benchmarks.tables import Table, number, percent
 from roemetry.records import NOTHING, StripeMap
 from roemetry.records.arrays import Floats
@@ -240,8 +240,8 @@ def summary(by_image: Floats) -> list[str]:
 
 # Filters along the stripe: what they gain, bend and smear. Labels are taken from the truth.
 
-FED_BY = ("maximum-likelihood", "gaussian", "centre-of-gravity")
-"""The extractor that feeds the filters: the first of these that is installed."""
+FED_BY = "maximum-likelihood"
+"""The extractor that feeds the filters."""
 STEPS_PX = (0.5, 1.0, 2.0)
 _WAVE_ROWS = 60.0
 _BOW = 1.0 / 16.0  # px a row²: 1 px between the middle and the ends of 9 rows
@@ -252,22 +252,18 @@ Smooth = Callable[[Drawn], StripeMap]
 
 def along(count: int, seed: int) -> list[Table]:
     """Judge every registered smoother."""
-    available, registry = dict(extractors()), discover()
-    fed_by = next((name for name in FED_BY if isinstance(available.get(name), Extractor)), None)
+    available, registry = dict(there()), discover()
     smoothers = {
         one.entry.name: registry.load(one)() for one in registry.of_kind("smoother") if one.missing is None
     }
-    if fed_by is None or not smoothers:
-        return []
-    extractor: Any = available[fed_by]
     rows = []
     for name, smoother in {"none": None, **smoothers}.items():
-        smooth = _smoothing(smoother, extractor)
+        smooth = _smoothing(smoother, available[FED_BY])
         rows.append([
             name, *_over_bound(smooth, count, seed), number(_bow_error(smooth, count, seed), 4),
             *(number(_step_error(step, smooth, count, seed), 3) for step in STEPS_PX),
         ])  # fmt: skip
-    title = f"Filters along the stripe, fed by {fed_by}; true labels; {count} VGA images a set"
+    title = f"Filters along the stripe, fed by {FED_BY}; true labels; {count} VGA images a set"
     head = ["filter", *(f"{kind} ×" for kind in CONTRAST), "stated over observed: clean / speckle / hard",
             "bow of 1 px over 9 rows: mean error, px",
             *(f"step of {step:g} px: mean error beyond ± 1 row, px" for step in STEPS_PX)]  # fmt: skip

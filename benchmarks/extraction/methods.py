@@ -95,6 +95,13 @@ def extractors() -> Iterator[tuple[str, Extractor[Any] | str]]:
             yield name, cls(cls.Options(**TOLD.get(name, {})))
 
 
+def there(words: Sequence[str] = ()) -> Iterator[tuple[str, Extractor[Any]]]:
+    """Make the extractors that can be used; with words, those whose name holds one."""
+    for name, stage in extractors():
+        if not isinstance(stage, str) and (not words or any(word in name for word in words)):
+            yield name, stage
+
+
 def _ours() -> Iterator[tuple[str, Method | str]]:
     def run(stage: Extractor[Any]) -> Callable[[NDArray[Any], Light | None], Found]:
         return lambda pixels, light: found_in(stage.extract(frame_of(pixels, light)))
