@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 coded = pytest.importorskip("benchmarks.coded", reason="only in a checkout")
-from benchmarks.coded.products import in_view  # noqa: E402
+from benchmarks.coded import in_view  # noqa: E402
 from roemetry.records import Peaks  # noqa: E402
 from roemetry_coding.planes import Planes  # noqa: E402
 
