@@ -21,7 +21,7 @@ from benchmarks.coded import (
     sample_from,
     shape,
     skein,
-)  # fmt: skip
+)
 from benchmarks.command import parser_of
 from benchmarks.tables import table
 from roemetry.errors import StageError

@@ -24,7 +24,7 @@ from benchmarks.coded import (
     easy_rig,
     in_view,
     sample_from,
-)  # fmt: skip
+)
 from benchmarks.tables import kept_rows
 from benchmarks.volume_scenes import lifted, rig_of
 from roemetry.errors import StageError

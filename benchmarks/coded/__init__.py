@@ -24,7 +24,7 @@ from benchmarks.coded.scenes import (
     shape,
     side_by_side,
     skein,
-)  # fmt: skip
+)
 
 __all__ = [
     "DAMAGES", "KINDS", "SHAPES", "CodingRig", "Crossings", "Damage", "Sample", "Score", "crossings_of",

@@ -18,7 +18,7 @@ from benchmarks.coded.scenes import (
     grown,
     side_by_side,
     skein,
-)  # fmt: skip
+)
 from roemetry_simulate.products.artefacts import SphereOptions, WedgeOptions, sphere, wedge
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.herring import build, draw
