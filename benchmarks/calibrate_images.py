@@ -11,29 +11,29 @@ noise, and takes the recipe's way: extractor, triangulator; the light of a still
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
+from benchmarks.command import parser_of
+from benchmarks.tables import table
+from benchmarks.volume_scenes import sphere_plate
 from roemetry.calibrating import calibrate
 from roemetry.config.rig import Rig
-from roemetry.config.target_file import SpherePlateFile, read_sphere_plate, read_target
-from roemetry.io.files import shipped
 from roemetry.io.yaml_source import dump
 from roemetry.records import Frame, StripeMap
 from roemetry.records import Sensor as Noise
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.stages.registry import discover
-from roemetry.targets.solids import solid_triangles
 from roemetry_pinhole.plates import plate_scale
 from roemetry_simulate.products.family import Pose
-from roemetry_simulate.products.mesh import Triangles, close, lay
+from roemetry_simulate.products.mesh import lay
 from roemetry_simulate.ray_caster import RayCaster
 from roemetry_simulate.render import Rig as TrueRig
 from roemetry_simulate.render import expose, laser_light, render
@@ -41,38 +41,28 @@ from roemetry_simulate.scene import RayCasterOptions, rig_of, surface_of
 from roemetry_simulate.solid import Block
 from roemetry_simulate.surface import Surface
 
+_BOARD = {"square_mm": 10.5, "marker_mm": 7.9, "tilt_max_deg": 25.0}
 RIGS: dict[str, dict[str, object]] = {
-    "narrow": {
-        "targets": {"board": {"square_mm": 10.5, "marker_mm": 7.9, "tilt_max_deg": 25.0, "poses": 30}},
-    },
+    "narrow": {"targets": {"board": {**_BOARD, "poses": 30}}},
     "dense": {
         "laser": {"planes": 31, "spacing_mm": 3.3, "line_width_mm": 0.75},
-        "targets": {"board": {"square_mm": 10.5, "marker_mm": 7.9, "tilt_max_deg": 25.0, "poses": 16}},
+        "targets": {"board": {**_BOARD, "poses": 16}},
     },
     "wide": {
         "camera": {
-            "width_px": 640,
-            "height_px": 512,
-            "pixel_size_um": 10.0,
-            "focal_length_mm": 8.0,
-            "distance_mm": 200.0,
-            "tilt_x_deg": 6.0,
-            "tilt_y_deg": -4.0,
+            "width_px": 640, "height_px": 512, "pixel_size_um": 10.0, "focal_length_mm": 8.0,
+            "distance_mm": 200.0, "tilt_x_deg": 6.0, "tilt_y_deg": -4.0,
             "distortion": {"k1": -0.12, "k2": 0.03, "p1": 0.0005, "p2": -0.0004},
         },
         "laser": {"projector_mm": [120.0, -4.0, 190.0], "line_width_mm": 1.2},
         "targets": {
             "board": {
-                "columns": 13,
-                "rows": 10,
-                "square_mm": 12.0,
-                "marker_mm": 9.0,
-                "tilt_max_deg": 25.0,
+                "columns": 13, "rows": 10, "square_mm": 12.0, "marker_mm": 9.0, "tilt_max_deg": 25.0,
                 "poses": 24,
             }
         },
     },
-}
+}  # fmt: skip
 METHODS = ("block-linear", "pinhole-plane")
 HEIGHTS_MM = (2.0, 5.0, 10.0, 16.5, 20.0, 25.0, 30.0)
 GRID_MM = (2.0, 10.0, 16.5, 25.0, 30.0)
@@ -84,7 +74,7 @@ _NEAR_PX = 4.0
 
 def main() -> None:
     """Print both methods' errors."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--rig", choices=sorted(RIGS), default="narrow")
     parser.add_argument("--poses", type=int, help="left out: narrow 30, wide 24, dense 16")
     parser.add_argument("--seed", type=int, default=1)
@@ -120,9 +110,8 @@ def main() -> None:
         errors = {}
         for number, height in enumerate(GRID_MM):
             first = 1_000_000 * (given.seed + 1) + 10_000 * number
-            errors[height] = (
-                _heights(pinhole, _averaged(scene, height, given.extractor, first, count)) - height
-            )
+            seen = _averaged(scene, height, given.extractor, first, count)
+            errors[height] = _heights(pinhole, seen) - height
         print(f"{count} images of each level:")
         _cells(errors)
     _plates(scene, pinhole, given.extractor, given.seed, given.plates)
@@ -155,34 +144,18 @@ def calibrated(
     """Calibrate from the written images; give the time it took as well, s."""
     part, block = scene.targets.board, scene.targets.block
     images = {"belt": ["belt/belt.png"], "block": ["block/block.png"]}
+    sizes = {name: getattr(block, name) for name in ("length_mm", "width_mm", "height_mm")}
     data: dict[str, object] = {
-        "roemetry_rig": 1,
-        "name": "simulated",
-        "stripes": scene.laser.count,
-        "working_distance_mm": scene.camera.distance_mm,
-        "target": {
-            "kind": "block",
-            "name": "block",
-            "length_mm": block.length_mm,
-            "width_mm": block.width_mm,
-            "height_mm": block.height_mm,
-            "tolerance_mm": 0.02,
-        },
-        "images": images,
-        "extractor": extractor,
-        "calibrator": method,
-    }
+        "roemetry_rig": 1, "name": "simulated", "stripes": scene.laser.count,
+        "working_distance_mm": scene.camera.distance_mm, "images": images, "extractor": extractor,
+        "target": {"kind": "block", "name": "block", **sizes, "tolerance_mm": 0.02}, "calibrator": method,
+    }  # fmt: skip
     if method == "pinhole-plane":
         data["board"] = {
-            "kind": "charuco",
-            "name": "board",
-            "columns": part.columns,
-            "rows": part.rows,
-            "pitch_mm": part.square_mm,
-            "marker_mm": part.marker_mm,
-            "dictionary": part.dictionary,
+            "kind": "charuco", "name": "board", "columns": part.columns, "rows": part.rows,
+            "pitch_mm": part.square_mm, "marker_mm": part.marker_mm, "dictionary": part.dictionary,
             "tolerance_mm": 0.01,
-        }
+        }  # fmt: skip
         images |= {"board": ["charuco/*_plain.png"], "board_laser": ["charuco/*_laser.png"]}
     path = folder / f"{method}.yaml"
     path.write_text(dump(data), encoding="utf-8")
@@ -192,22 +165,22 @@ def calibrated(
     return made, time.perf_counter() - begin
 
 
+def _stage(kind: str, name: str) -> Any:
+    registry = discover()
+    return registry.load(registry.find(kind, name))()
+
+
 def _heights(calibration: Calibration, x_px: Floats) -> Floats:
     """(stripe, row) heights, mm, of places in the image, by the triangulator; NaN outside."""
-    registry = discover()
-    stage = registry.load(registry.find("triangulator", calibration.method))()
+    stage = _stage("triangulator", calibration.method)
     x_px = np.where((x_px < 0) | (x_px > calibration.image_size[1] - 1), np.nan, x_px)
     seen = np.isfinite(x_px)
+    rest_px = calibration.rest_line_px(np.arange(x_px.shape[1], dtype=np.float64))
     stripes = StripeMap(
-        x_px=x_px,
-        x_std_px=np.where(seen, 0.1, np.nan),
-        product=np.where(seen, 1, -1).astype(np.int16),
-        seen=seen,
-        margin=np.where(seen, 1.0, np.nan),
-        ambiguous=np.zeros(x_px.shape, np.bool_),
-        rest_px=calibration.rest_line_px(np.arange(x_px.shape[1], dtype=np.float64)),
-        peak_stripe=np.empty(0, np.int16),
-    )
+        x_px=x_px, x_std_px=np.where(seen, 0.1, np.nan), product=np.where(seen, 1, -1).astype(np.int16),
+        seen=seen, margin=np.where(seen, 1.0, np.nan), ambiguous=np.zeros(x_px.shape, np.bool_),
+        rest_px=rest_px, peak_stripe=np.empty(0, np.int16),
+    )  # fmt: skip
     return np.asarray(stage.triangulate(stripes, calibration).xyz_mm[..., 2])
 
 
@@ -226,14 +199,12 @@ def exact_lines(rig: TrueRig, height_mm: float, row_px: Floats) -> Floats:
 
 
 def _table(found: dict[str, dict[float, Floats]]) -> None:
-    print("| height mm | " + " | ".join(f"{method}: mean, largest error mm" for method in METHODS) + " |")
-    print("|---|" + "---|" * len(METHODS))
+    rows = []
     for height in HEIGHTS_MM:
-        cells = []
-        for method in METHODS:
-            error = found[method][height]
-            cells.append(f"{np.nanmean(error):+.3f}, {np.nanmax(np.abs(error)):.3f}")
-        print(f"| {height:g} | " + " | ".join(cells) + " |")
+        errors = [found[method][height] for method in METHODS]
+        cells = [f"{np.nanmean(error):+.3f}, {np.nanmax(np.abs(error)):.3f}" for error in errors]
+        rows.append([f"{height:g}", *cells])
+    print(table(["height mm", *(f"{method}: mean, largest error mm" for method in METHODS)], rows), end="")
 
 
 def _cells(found: dict[float, Floats]) -> None:
@@ -254,8 +225,7 @@ def _cells(found: dict[float, Floats]) -> None:
 
 def _judge(scene: RayCasterOptions, calibration: Calibration) -> None:
     """Errors over the standard uncertainty that the calibration states, at points all over the volume."""
-    registry = discover()
-    stage = registry.load(registry.find("triangulator", calibration.method))()
+    stage = _stage("triangulator", calibration.method)
     rig = rig_of(scene)
     row = np.linspace(0.1, 0.9, 5) * (calibration.image_size[0] - 1)
     xy, stripe, truth = [], [], []
@@ -279,8 +249,7 @@ def _judge(scene: RayCasterOptions, calibration: Calibration) -> None:
 def _averaged(scene: RayCasterOptions, height_mm: float, extractor: str, seed: int, images: int) -> Floats:
     """Give (stripe, row) mean place, px, of each stripe on a level over many images; NaN where never seen."""
     rig = rig_of(scene)
-    registry = discover()
-    stage = registry.load(registry.find("extractor", extractor))()
+    stage = _stage("extractor", extractor)
     lines = exact_lines(rig, height_mm, np.arange(rig.camera.height_px, dtype=np.float64))
     laser, ambient = laser_light(rig, Block(_WIDE_MM, _WIDE_MM, height_mm), _matt(scene, seed), scene.samples)
     total, many = np.zeros(lines.shape), np.zeros(lines.shape)
@@ -300,17 +269,8 @@ def _plates(
     scene: RayCasterOptions, calibration: Calibration, extractor: str, seed: int, plates: int
 ) -> None:
     """Print the size of the shipped sphere plate, over the true one, in so many places and turns."""
-    rig, registry = rig_of(scene), discover()
-    stage = registry.load(registry.find("extractor", extractor))()
-    described = read_target(shipped("calib_targets", "sphere-plate-3x2-30.yaml"))
-    if not isinstance(described, SpherePlateFile):
-        raise AssertionError("the shipped description is that of a sphere plate")
-    plate = read_sphere_plate(described, Path())
-    if plate is None:
-        raise AssertionError("the shipped description is complete")
-    corners = solid_triangles(described).reshape(-1, 3).round(9)
-    points, number = np.unique(corners, axis=0, return_inverse=True)
-    mesh = close(Triangles(points, number.reshape(-1, 3)))
+    rig, stage = rig_of(scene), _stage("extractor", extractor)
+    plate, mesh = sphere_plate()
     rng = np.random.default_rng(seed)
     for count in range(plates):
         pose = Pose(*rng.uniform(-4.0, 4.0, 2), float(rng.uniform(-8.0, 8.0)))
@@ -335,14 +295,6 @@ def _frame(rig: TrueRig, pixels: np.ndarray) -> Frame:
 def _matt(scene: RayCasterOptions, seed: int) -> Surface:
     """The simulated targets' material: matt, with a third of the product's texture."""
     surface = surface_of(scene, seed)
-    return replace(
-        surface,
-        texture=1.0 + 0.35 * (surface.texture - 1.0),
-        laser_albedo=(surface.laser_albedo[0], 0.60),
-        gloss=(0.0, 0.0),
-        below=(0.0, 0.0, 0.0),
-    )
-
-
-if __name__ == "__main__":
-    main()
+    texture, albedo = 1.0 + 0.35 * (surface.texture - 1.0), (surface.laser_albedo[0], 0.60)
+    plain = {"gloss": (0.0, 0.0), "below": (0.0, 0.0, 0.0)}
+    return replace(surface, texture=texture, laser_albedo=albedo, **plain)

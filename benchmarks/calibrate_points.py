@@ -5,14 +5,15 @@
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import time
 from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.command import parser_of
 from benchmarks.simulated_points import Shown, SimulatedRig, noisy, shown
+from benchmarks.tables import table
 from roemetry.records.arrays import Floats
 from roemetry_pinhole.bundle import Adjusted, Problem, Weights, adjust, inverse
 from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns, undistort, unknowns_of
@@ -35,21 +36,20 @@ FREE = np.arange(CAMERA) < 9
 
 def main() -> None:
     """Print a row for each rig and number of stripes."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--repeats", type=int, default=100)
     parser.add_argument("--rigs", default=",".join(RIGS))
     parser.add_argument("--stripes", default="1,11,21")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     print(f"{given.repeats} calibrations each, seed {given.seed}")
-    print("| rig | stripes | χ²/3 | plane std / bound, median and most | heights: scatter / stated | ms |")
-    print("|---|---|---|---|---|---|")
-    for name in given.rigs.split(","):
-        for stripes in map(int, given.stripes.split(",")):
-            print(_row(name, stripes, given.repeats, given.seed), flush=True)
+    pairs = [(name, int(stripes)) for name in given.rigs.split(",") for stripes in given.stripes.split(",")]
+    rows = [_row(name, stripes, given.repeats, given.seed) for name, stripes in pairs]
+    head = ["rig", "stripes", "χ²/3", "plane std / bound, median and most", "heights: scatter / stated", "ms"]
+    print(table(head, rows), end="")
 
 
-def _row(name: str, stripes: int, repeats: int, seed: int) -> str:
+def _row(name: str, stripes: int, repeats: int, seed: int) -> list[str]:
     rng = np.random.default_rng([seed, stripes, list(RIGS).index(name)])
     exact = shown(replace(RIGS[name], stripes=stripes), rng)
     free = unknowns_of(exact.geometry, free_camera=FREE, planes=True, belt=True, travel=False)
@@ -71,11 +71,11 @@ def _row(name: str, stripes: int, repeats: int, seed: int) -> str:
     bound = np.sqrt(np.diag(_bound(exact, free))[free.planes])
     spread = np.std(planes, axis=0) / bound
     ratio = np.std(heights, axis=0) / np.sqrt(np.mean(stated, axis=0))
-    return (
-        f"| {name} | {stripes} | {np.mean(squares):.2f} | {np.median(spread):.2f} {spread.max():.2f} | "
-        f"{np.median(ratio):.2f} ({ratio.min():.2f}–{ratio.max():.2f}) | "
-        f"{1e3 * statistics.median(seconds):.0f} |"
-    )
+    return [
+        name, f"{stripes}", f"{np.mean(squares):.2f}", f"{np.median(spread):.2f} {spread.max():.2f}",
+        f"{np.median(ratio):.2f} ({ratio.min():.2f}–{ratio.max():.2f})",
+        f"{1e3 * statistics.median(seconds):.0f}",
+    ]  # fmt: skip
 
 
 def _adjusted(seen: Shown, start: Geometry, free: Unknowns) -> Adjusted:
@@ -121,7 +121,3 @@ def _slopes(geometry: Geometry, free: Unknowns, exact: Shown, at: np.ndarray) ->
         up, down = (_heights(free.moved(geometry, s * step), exact, at) for s in (1.0, -1.0))
         slopes[:, number] = (up - down) / (2.0 * size)
     return slopes
-
-
-if __name__ == "__main__":
-    main()

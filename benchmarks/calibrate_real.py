@@ -7,17 +7,19 @@ channel and the print's contrast up to which peaks count (``print_contrast_max``
 
 from __future__ import annotations
 
-import argparse
-import os
 import tempfile
 from pathlib import Path
 
+import cv2
 import numpy as np
 
+from benchmarks.command import parser_of
+from benchmarks.real_images import folder_of
+from benchmarks.spoil import CIRCLES
 from roemetry.calibrating import observe
 from roemetry.config.rig import Rig
 from roemetry.io.yaml_source import dump
-from roemetry.records import Board, Frame
+from roemetry.records import Board, CalibrationSet, Frame
 from roemetry.records.arrays import Floats
 from roemetry.stages.registry import discover
 from roemetry_pinhole.boards import BoardNotFoundError, BoardView, Seen, board_views, find_marks
@@ -32,20 +34,18 @@ NOBODY = np.empty(0, np.int64)
 
 def main() -> None:
     """Print what each set gives, or why it is skipped."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--extractor", default="fir-zero-crossing")
     parser.add_argument("--channel", default="grey")
     parser.add_argument("--contrast", type=float, default=0.85)
     given = parser.parse_args()
-    home = Path(os.environ.get("ROEMETRY_REAL_DATA", "../shared/real"))
-    for name, run in (("laser_on_circle_grid", _boards), ("chessboard_mit", _chessboard)):
-        folder = home / name
-        if not folder.is_dir():
-            print(f"{name}: skipped, there is no folder {folder} (ROEMETRY_REAL_DATA)")
-        elif run is _boards:
-            _boards(folder, given.extractor, given.channel, given.contrast)
-        else:
-            _chessboard(folder)
+    circles, chessboard = folder_of("laser_on_circle_grid"), folder_of("chessboard_mit")
+    if circles is not None:
+        _boards(circles, given.extractor, given.channel, given.contrast)
+    if chessboard is not None:
+        _chessboard(chessboard)
+    if circles is None or chessboard is None:
+        print("a set that is not there was skipped: set ROEMETRY_REAL_DATA")
 
 
 def _boards(folder: Path, extractor: str, channel: str, contrast: float) -> None:
@@ -76,23 +76,16 @@ def _boards(folder: Path, extractor: str, channel: str, contrast: float) -> None
     print(f"  leave one pose out: rms {_left_out(first, gathered):.4f} mm")
 
 
-def _observed(folder: Path, extractor: str, channel: str):  # noqa: ANN202
-    data = {
-        "roemetry_rig": 1,
-        "name": "laser on circle grid",
-        "stripes": 1,
-        "channel": channel,
-        "turn_deg": 90,
-        "board": {"kind": "circle-grid", "name": "grid", "columns": 7, "rows": 7, "pitch_mm": 37.5},
-        "images": {
-            "board": [str(path) for path in sorted((folder / "calib_picture").resolve().glob("*.jpg"))],
-            "board_laser": [str(path) for path in sorted((folder / "light_picture").resolve().glob("*.jpg"))],
-        },
-        "extractor": extractor,
+def _observed(folder: Path, extractor: str, channel: str) -> CalibrationSet:
+    images = {
+        shows: [str(path) for pattern in patterns for path in sorted(folder.resolve().glob(pattern))]
+        for shows, patterns in CIRCLES["images"].items()
     }
+    data = {key: value for key, value in CIRCLES.items() if key != "calibrator"}
     with tempfile.TemporaryDirectory() as place:
         path = Path(place) / "rig.yaml"
-        path.write_text(dump(data), encoding="utf-8")
+        told = data | {"images": images, "channel": channel, "extractor": extractor}
+        path.write_text(dump(told), encoding="utf-8")
         return observe(Rig.load(path), discover())[0]
 
 
@@ -130,8 +123,6 @@ def _left_out(first: FirstCamera, gathered: Gathered) -> float:
 
 
 def _chessboard(folder: Path) -> None:
-    import cv2
-
     board = Board("chessboard", "chessboard", columns=12, rows=9, pitch_mm=25.0)
     seen = Seen()
     size = (0, 0)
@@ -152,7 +143,3 @@ def _chessboard(folder: Path) -> None:
     rms = np.sqrt((found.corner_px**2).sum(axis=1).mean())
     print(f"chessboard_mit: {len(first.views)} of {len(files)} boards, left out: {seen.left_out or 'none'}")
     print(f"  corners: reprojection rms {rms:.4f} px, all corners; fx {found.geometry.camera[0]:.1f} px")
-
-
-if __name__ == "__main__":
-    main()

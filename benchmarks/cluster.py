@@ -16,7 +16,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import random
@@ -35,6 +34,7 @@ from typing import Any
 import numpy as np
 import psutil
 
+from benchmarks.command import parser_of
 from roemetry import Recipe, run_recipe
 from roemetry.run.cluster import QUIET, Cluster
 from roemetry.run.workers import Processes
@@ -47,9 +47,7 @@ _LONGEST_S = 12.0
 
 def main() -> None:
     """Do what is asked for."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("what", choices=("kills", "throughput", "scaling"))
     parser.add_argument("--rows", type=int, default=5000)
     parser.add_argument("--recipe", type=Path, default=_RECIPE, help="what `throughput` measures with")
@@ -254,7 +252,3 @@ def _processes_of(workers: subprocess.Popen[bytes]) -> list[int]:
         if found := [child.pid for child in children if "spawn_main" in " ".join(child.cmdline())]:
             return found
         time.sleep(0.1)
-
-
-if __name__ == "__main__":
-    main()

@@ -9,7 +9,6 @@ that lie there; so parts can be measured one at a time, and one coder again with
 
 from __future__ import annotations
 
-import argparse
 import json
 import platform
 import statistics
@@ -18,7 +17,7 @@ import time
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,15 +35,16 @@ from benchmarks.coded import (
     dense_rig,
     easy_rig,
     grown,
+    in_view,
     sample_from,
     score,
     shape,
     skein,
+    verdicts,
 )
 from benchmarks.coded.cases import CASES
-from benchmarks.coded.products import in_view
-from benchmarks.coded.scoring import verdicts
-from benchmarks.curves import Points, curves
+from benchmarks.command import parser_of
+from benchmarks.pictures import Points, curves
 from benchmarks.tables import table
 from roemetry.errors import StageError
 from roemetry.records import Frame, StripeMap
@@ -86,7 +86,7 @@ Coders = Mapping[str, Coder[Any]]
 
 def main() -> None:
     """Measure the chosen parts and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--parts", default=",".join(PARTS), help=f"of {', '.join(PARTS)}; or none")
     parser.add_argument("--coders", default="", help="names, as the page has them; default: all")
     parser.add_argument("--skeins", type=int, default=1000, help="skeins on each rig")
@@ -231,13 +231,10 @@ def margins_of(stripes: StripeMap, sample: Sample) -> Integers:
 
 def machine() -> str:
     """Say what this is measured on."""
-    name = platform.processor() or platform.machine()
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        name = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        pass
-    return f"{name}, Python {platform.python_version()}"
+    about = Path("/proc/cpuinfo")
+    lines = about.read_text(encoding="utf-8").splitlines() if about.exists() else []
+    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
+    return f"{(names or [platform.machine()])[0]}, Python {platform.python_version()}"
 
 
 def measure(part: str, results: Results, coders: Coders, given: Namespace) -> None:
@@ -277,13 +274,12 @@ def _skein(results: Results, name: str, seed: int, kind: str) -> tuple[CodingRig
 
 
 def _breaking(results: Results, given: Namespace) -> Iterator[Scene]:
-    for at, number in ((at, number) for at in DISPLACEMENTS for number in range(given.few)):
+    for at, number in product(DISPLACEMENTS, range(given.few)):
         seed = given.first + 100_000 + number
         rig = easy_rig(seed, at, planes=min(max(round(11 * at / 1.3), 5), 31))
-        kind = KINDS[seed % len(KINDS)]
-        traced = results.traced(f"spacing-{at:g}-{seed}", rig, skein, seed, kind)
+        traced = results.traced(f"spacing-{at:g}-{seed}", rig, skein, seed, KINDS[seed % len(KINDS)])
         yield Scene((f"spacing {at:g}",), "all", sample_from(rig, traced, seed=seed))
-    for at, number in ((at, number) for at in GROWTHS for number in range(given.few)):
+    for at, number in product(GROWTHS, range(given.few)):
         seed = given.first + 110_000 + number
         rig = replace(easy_rig(seed), height_range_mm=(-1.0, 26.0 * at))
         solid = skein(seed, KINDS[seed % len(KINDS)])
@@ -292,15 +288,15 @@ def _breaking(results: Results, given: Namespace) -> Iterator[Scene]:
 
 
 def _shapes(results: Results, given: Namespace) -> Iterator[Scene]:
-    for name, form in ((name, form) for name in RIGS for form in SHAPES):
-        for seed in range(given.first + 200_000, given.first + 200_000 + given.few):
-            rig = RIGS[name](seed)
-            traced = results.traced(f"{name}-{form}-{seed}", rig, shape, seed, form)
-            yield Scene((f"{name} {form}",), "all", sample_from(rig, traced, seed=seed))
+    first = given.first + 200_000
+    for name, form, seed in product(RIGS, SHAPES, range(first, first + given.few)):
+        rig = RIGS[name](seed)
+        traced = results.traced(f"{name}-{form}-{seed}", rig, shape, seed, form)
+        yield Scene((f"{name} {form}",), "all", sample_from(rig, traced, seed=seed))
 
 
 def _dead(results: Results, given: Namespace) -> Iterator[Scene]:
-    for name, number in ((name, number) for name in RIGS for number in range(2 * given.few)):
+    for name, number in product(RIGS, range(2 * given.few)):
         seed = given.first + number
         rig, traced = _skein(results, name, seed, KINDS[number % len(KINDS)])
         yield Scene((name,), name, sample_from(rig, traced, DAMAGES["dead-stripe"], seed=seed + 7))
@@ -313,7 +309,7 @@ def _cases(results: Results, given: Namespace) -> Iterator[Scene]:
 
 def _images(results: Results, given: Namespace) -> Iterator[Scene]:
     extractor = DominantPeak(DominantPeakOptions(threshold=15, start="lowest"))
-    for name, number in ((name, number) for name in RIGS for number in range(given.few)):
+    for name, number in product(RIGS, range(given.few)):
         seed = given.first + 300_000 + number
         rig = RIGS[name](seed)
         lying = in_view(skein(seed, KINDS[number % len(KINDS)]), rig)
@@ -337,17 +333,18 @@ def speed(results: Results, coders: Coders, given: Namespace) -> None:
             seed = given.first + number
             rig, traced = _skein(results, name, seed, KINDS[number % len(KINDS)])
             samples.append(sample_from(rig, traced, seed=seed))
-        for turn in range(13):
-            for coder, stage in coders.items():
-                for sample in samples:
-                    begin = time.process_time()
-                    answer(stage, sample)
-                    if turn >= 2:
-                        times[coder][name].append(1e3 * (time.process_time() - begin))
+        for turn, (coder, stage), sample in product(range(13), coders.items(), samples):
+            begin = time.process_time()
+            answer(stage, sample)
+            if turn >= 2:
+                times[coder][name].append(1e3 * (time.process_time() - begin))
     for coder, found in times.items():
         medians = {name: statistics.median(each) for name, each in found.items()}
         quick = {name: statistics.quantiles(each, n=20)[0] for name, each in found.items()}
         results.keep("speed", coder, {"median_ms": medians, "quick_ms": quick})
+
+
+_RENDERED = "speckle (contrast 0.10 and 0.20), shot noise, gloss; `dominant-peak`, threshold 15"
 
 
 class Part(NamedTuple):
@@ -364,10 +361,7 @@ PARTS: dict[str, Part] = {
     "shapes": Part("Other shapes", _shapes),
     "dead": Part("A dead stripe: noticed and named?", _dead),
     "cases": Part("Known to be hard: the scenes of the tests", _cases),
-    "images": Part(
-        "Rendered images: speckle (contrast 0.10 and 0.20), shot noise, gloss; `dominant-peak`, threshold 15",
-        _images,
-    ),
+    "images": Part(f"Rendered images: {_RENDERED}", _images),
     "speed": Part("Time of a frame", lambda r, g: iter(())),
 }
 """All parts, in the order of the page."""
@@ -451,14 +445,12 @@ def _breaking_curves(results: Results, pictures: Path) -> str:
     words = {"spacing": "displacement of a point 20 mm high, spacings", "height": "height, times"}
     for kind, across in words.items() if found else ():
         for what, low in (("labelled", None), ("wrong", 1e-5)):
-            lines = {
-                coder: [
-                    (float(name.split()[1]), getattr(Score(**kept), f"{what}_share"))
-                    for name, kept in one["scores"].items()
-                    if name.startswith(kind)
-                ]
-                for coder, one in found.items()
-            }
+            lines: dict[str, list[tuple[float, float]]] = {coder: [] for coder in found}
+            for coder, one in found.items():
+                for name, kept in one["scores"].items():
+                    if name.startswith(kind):
+                        share = getattr(Score(**kept), f"{what}_share")
+                        lines[coder].append((float(name.split()[1]), share))
             curves(pictures / f"coding-{kind}-{what}.svg", lines, across, f"share {what}", low=low)
             said += f"![Share {what} over {across}](../images/coding-{kind}-{what}.svg)\n\n"
     return said
@@ -469,15 +461,12 @@ def _speed(results: Results) -> str:
     if not found:
         return ""
     base = found.get("window-tracking", next(iter(found.values())))["median_ms"]
-    rows = [
-        [f"`{coder}`", *(
-            cell for rig in RIGS for cell in (
-                f"{one['median_ms'][rig]:.2f}", f"{one['quick_ms'][rig]:.2f}",
-                f"{one['median_ms'][rig] / base[rig]:.2f}",
-            )
-        )]
-        for coder, one in found.items()
-    ]  # fmt: skip
+    rows = []
+    for coder, one in found.items():
+        times = [
+            (one["median_ms"][rig], one["quick_ms"][rig], one["median_ms"][rig] / base[rig]) for rig in RIGS
+        ]
+        rows.append([f"`{coder}`", *(f"{value:.2f}" for of in times for value in of)])
     each = ["5 % quickest", "times window-tracking"]
     return (
         "## Time of a frame\n640 × 480, time on the processor, one thread, medians of frames labelled in "
@@ -490,11 +479,9 @@ def _about(found: dict[str, Any]) -> str:
     """Say when, where and on what a part was measured; coders measured together are told together."""
     told: dict[str, list[str]] = {}
     for coder, one in found.items():
-        about = one["about"]
-        extra = [f"{words} {about[key]}" for key, words in (("scenes", "scenes"), ("first", "first seed"))
-                 if key in about]  # fmt: skip
-        said = "; ".join([f"{about['date']}, {about['machine']}", *extra])
-        told.setdefault(said, []).append(f"`{coder}`")
+        about, words = one["about"], {"scenes": "scenes", "first": "first seed"}
+        extra = [f"{word} {about[key]}" for key, word in words.items() if key in about]
+        told.setdefault("; ".join([f"{about['date']}, {about['machine']}", *extra]), []).append(f"`{coder}`")
     return "".join(f"\n*{', '.join(coders)}: {said}.*\n" for said, coders in told.items())
 
 
@@ -507,7 +494,3 @@ def _share(value: float) -> str:
 
 def _percent(value: float) -> str:
     return f"{100.0 * value:.2f} %"
-
-
-if __name__ == "__main__":
-    main()

@@ -1,21 +1,31 @@
 """What may go wrong with the images of one acquisition: an open set of disturbances, each with its sizes.
 
 Sizes are drawn evenly over the logarithm between the smallest, which no one would notice, and the gross.
-Motion is made by warping here; `benchmarks.moved_rigs` renders the scene again with the moved rig.
+Motion is made by warping (`DISTURBANCES`), or scenes are rendered anew by both simulators, camera or laser
+moved, while the calibration stays (`MOTIONS`); a motion is given its size in pixels: how far it moves the
+image, or a stripe, at the image's edge.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from roemetry.config.scene import Scene as SceneFile
+from roemetry.config.scene_parts import CameraPart
+from roemetry.stages.registry import discover
+from roemetry_simulate.scene import camera_of
+
 Image = NDArray[Any]
 Images = tuple[Image, Image | None]
+Rng = np.random.Generator
 
 _DIFFERS_GREY = 40
 """More than noise: a stripe is here in one image, and not in the other."""
@@ -44,6 +54,10 @@ class Scene(NamedTuple):
         return self.other.true_mm3 if from_other > 0.5 else self.true_mm3
 
 
+Make = Callable[[Scene, float, Rng], Images]
+Change = Callable[[Image, float, Rng], Image]
+
+
 class Disturbance(NamedTuple):
     """A way to disturb, over its sizes from `low` to `high`; up to `harmless` no stripe is harmed by it."""
 
@@ -51,119 +65,120 @@ class Disturbance(NamedTuple):
     low: float
     high: float
     harmless: float
-    make: Callable[[Scene, float, np.random.Generator], Images]
+    make: Make
 
 
-def moved_image(
+def _moved_image(
     image: Image, right: float = 0.0, down: float = 0.0, turn_deg: float = 0.0, scale: float = 1.0
 ) -> Image:
     """Shift, turn clockwise and scale an image about its middle."""
     rows, columns = image.shape[:2]
     matrix = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), -turn_deg, scale)
     matrix[:, 2] += right, down
-    return np.asarray(
-        cv2.warpAffine(
-            image, matrix, (columns, rows), flags=cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT
-        )
-    )
+    how = {"flags": cv2.INTER_LANCZOS4, "borderMode": cv2.BORDER_REFLECT}
+    return np.asarray(cv2.warpAffine(image, matrix, (columns, rows), **how))
 
 
-def _sign(rng: np.random.Generator) -> float:
+def _sign(rng: Rng) -> float:
     return float(rng.choice([-1.0, 1.0]))
 
 
-def _motion(
-    of: Callable[[float, np.random.Generator], dict[str, float]], *, plain_only: bool = False
-) -> Callable[[Scene, float, np.random.Generator], Images]:
-    def make(scene: Scene, size: float, rng: np.random.Generator) -> Images:
+def _motion(of: Callable[[float, Rng], dict[str, float]], *, plain_only: bool = False) -> Make:
+    def make(scene: Scene, size: float, rng: Rng) -> Images:
         motion = of(size, rng)
-        laser = scene.laser if plain_only else moved_image(scene.laser, **motion)
-        return laser, None if scene.plain is None else moved_image(scene.plain, **motion)
+        laser = scene.laser if plain_only else _moved_image(scene.laser, **motion)
+        return laser, None if scene.plain is None else _moved_image(scene.plain, **motion)
 
     return make
 
 
-def _all_ways(size_px: float, rng: np.random.Generator) -> dict[str, float]:
+def _all_ways(size_px: float, rng: Rng) -> dict[str, float]:
     right, down, turn, grow = size_px * rng.uniform(-0.5, 0.5, 4)
     return {"right": right, "down": down, "turn_deg": np.degrees(turn / 320.0), "scale": 1.0 + grow / 320.0}
 
 
-def _aside(size_px: float, rng: np.random.Generator) -> dict[str, float]:
+def _aside(size_px: float, rng: Rng) -> dict[str, float]:
     angle = rng.uniform(0.0, 2.0 * np.pi)
     return {"right": size_px * np.cos(angle), "down": size_px * np.sin(angle)}
 
 
-def _both(
-    change: Callable[[Image, float, np.random.Generator], Image],
-) -> Callable[[Scene, float, np.random.Generator], Images]:
+def _turned(size_deg: float, rng: Rng) -> dict[str, float]:
+    return {"turn_deg": size_deg * _sign(rng)}
+
+
+def _scaled(size_percent: float, rng: Rng) -> dict[str, float]:
+    return {"scale": 1.0 + 0.01 * size_percent * _sign(rng)}
+
+
+def _laser(change: Change) -> Make:
+    return lambda scene, size, rng: (change(scene.laser, size, rng), scene.plain)
+
+
+def _both(change: Change) -> Make:
     return lambda scene, size, rng: (
         change(scene.laser, size, rng),
         None if scene.plain is None else change(scene.plain, size, rng),
     )
 
 
-def _laser(
-    change: Callable[[Image, float, np.random.Generator], Image],
-) -> Callable[[Scene, float, np.random.Generator], Images]:
-    return lambda scene, size, rng: (change(scene.laser, size, rng), scene.plain)
-
-
-def _grey(image: Image, wanted: NDArray[Any]) -> Image:
+def _grey(image: Image, wanted: Image) -> Image:
     return np.asarray(np.clip(np.rint(wanted), 0, np.iinfo(image.dtype).max), image.dtype)
 
 
-def _jpeg(image: Image, loss: float, _: np.random.Generator) -> Image:
+def _jpeg(image: Image, loss: float, _: Rng) -> Image:
     quality = [cv2.IMWRITE_JPEG_QUALITY, max(1, round(100.0 - loss))]
     return np.asarray(cv2.imdecode(cv2.imencode(".jpg", image, quality)[1], cv2.IMREAD_UNCHANGED))
 
 
-def _gamma(image: Image, log_power: float, rng: np.random.Generator) -> Image:
-    power = float(np.exp(_sign(rng) * log_power))
-    return _grey(image, 255.0 * (image / 255.0) ** power)
+def _gamma(image: Image, log_power: float, rng: Rng) -> Image:
+    return _grey(image, 255.0 * (image / 255.0) ** float(np.exp(_sign(rng) * log_power)))
 
 
-def _noise(image: Image, std: float, rng: np.random.Generator) -> Image:
+def _noise(image: Image, std: float, rng: Rng) -> Image:
     return _grey(image, image + rng.normal(0.0, std, image.shape))
 
 
-def _specks(image: Image, share: float, rng: np.random.Generator) -> Image:
+def _specks(image: Image, share: float, rng: Rng) -> Image:
     hit, image = rng.random(image.shape[:2]), image.copy()
     image[hit < share / 2], image[hit > 1.0 - share / 2] = 0, 255
     return image
 
 
-def _blur(image: Image, sigma_px: float, _: np.random.Generator) -> Image:
+def _blur(image: Image, sigma_px: float, _: Rng) -> Image:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px))
 
 
-def _dimmed(image: Image, loss: float, _: np.random.Generator) -> Image:
+def _dimmed(image: Image, loss: float, _: Rng) -> Image:
     """The laser gives less light: what rises above the background is lowered."""
     ground = float(np.median(image))
     return _grey(image, np.minimum(image, ground) + (1.0 - loss) * np.maximum(image - ground, 0.0))
 
 
-def _lamp(image: Image, grey: float, rng: np.random.Generator) -> Image:
+def _lamp(image: Image, grey: float, rng: Rng) -> Image:
     """Other light falls in, more of it on one side."""
-    across, down = np.meshgrid(
-        np.linspace(-1, 1, image.shape[1]), np.linspace(-1, 1, image.shape[0]), copy=False
-    )
+    rows, columns = image.shape[:2]
+    across, down = np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows), copy=False)
     angle = rng.uniform(0.0, 2.0 * np.pi)
     light = grey * (0.6 + 0.4 * (across * np.cos(angle) + down * np.sin(angle)))
     light = light if image.ndim == 2 else light[..., None]
     return _grey(image, image + light + rng.normal(0.0, 0.15 * np.sqrt(grey), image.shape))
 
 
-def _black_level(image: Image, grey: float, rng: np.random.Generator) -> Image:
+def _black_level(image: Image, grey: float, rng: Rng) -> Image:
     return _grey(image, image + _sign(rng) * grey)
 
 
-def _lost(axis: int, fill: str) -> Callable[[Image, float, np.random.Generator], Image]:
+def _place(size: int, lines: float, rng: Rng) -> tuple[int, int]:
+    """Draw where a block of lines begins, and how many it has: at most a quarter, in the middle half."""
+    count = min(max(1, round(lines)), size // 4)
+    return int(rng.integers(size // 4, 3 * size // 4 - count)), count
+
+
+def _lost(axis: int, fill: str) -> Change:
     """Lines are lost at a random place; what follows moves up, and the image is filled up at its end."""
 
-    def change(image: Image, lines: float, rng: np.random.Generator) -> Image:
-        size = image.shape[axis]
-        count = min(max(1, round(lines)), size // 4)
-        first = int(rng.integers(size // 4, 3 * size // 4 - count))
+    def change(image: Image, lines: float, rng: Rng) -> Image:
+        first, count = _place(image.shape[axis], lines, rng)
         kept = np.delete(image, np.s_[first : first + count], axis)
         filled = np.take(image, range(-count, 0) if fill == "repeated" else range(count), axis)
         return np.concatenate([kept, filled * 0 if fill == "black" else filled], axis)
@@ -171,16 +186,14 @@ def _lost(axis: int, fill: str) -> Callable[[Image, float, np.random.Generator],
     return change
 
 
-def _doubled(image: Image, lines: float, rng: np.random.Generator) -> Image:
+def _doubled(image: Image, lines: float, rng: Rng) -> Image:
     """A block of rows is sent twice."""
-    rows = image.shape[0]
-    count = min(max(1, round(lines)), rows // 4)
-    first = int(rng.integers(rows // 4, 3 * rows // 4 - count))
-    return np.concatenate([image[: first + count], image[first : rows - count]])
+    first, count = _place(image.shape[0], lines, rng)
+    return np.concatenate([image[: first + count], image[first : image.shape[0] - count]])
 
 
-def _joined(axis: int) -> Callable[[Scene, float, np.random.Generator], Images]:
-    def make(scene: Scene, share: float, _: np.random.Generator) -> Images:
+def _joined(axis: int) -> Make:
+    def make(scene: Scene, share: float, _: Rng) -> Images:
         assert scene.other is not None
         size = scene.laser.shape[axis]
         place = size - max(1, round(share * size))
@@ -190,7 +203,7 @@ def _joined(axis: int) -> Callable[[Scene, float, np.random.Generator], Images]:
     return make
 
 
-def _patched(scene: Scene, share: float, rng: np.random.Generator, *, band: bool = False) -> Images:
+def _patched(scene: Scene, share: float, rng: Rng, *, band: bool = False) -> Images:
     """A block of the laser image, or a band of whole rows, is another frame's; `share` of each side."""
     assert scene.other is not None
     laser, place = scene.laser.copy(), []
@@ -202,72 +215,177 @@ def _patched(scene: Scene, share: float, rng: np.random.Generator, *, band: bool
     return laser, scene.plain
 
 
-def _interlaced(scene: Scene, share: float, _: np.random.Generator) -> Images:
+def _interlaced(scene: Scene, share: float, _: Rng) -> Images:
     assert scene.other is not None
-    laser = scene.laser.copy()
-    last = round(share * laser.shape[0])
+    laser, last = scene.laser.copy(), round(share * scene.laser.shape[0])
     laser[:last:2] = scene.other.laser[:last:2]
     return laser, scene.plain
 
 
-def _deep(scene: Scene, bits: float, _: np.random.Generator) -> Images:
+def _deep(scene: Scene, bits: float, _: Rng) -> Images:
     """An image of more bits in a 16-bit file that does not say so."""
     scale = 2 ** round(bits) // 256
     return tuple(None if one is None else one.astype(np.uint16) * scale for one in scene[1:3])  # type: ignore[return-value]
 
 
-_ONCE = (1.0, 1.0, 0.0)
+def _off(image: Image, _: float, __: Rng) -> Image:
+    return np.minimum(image, np.median(image).astype(image.dtype))
 
-DISTURBANCES: dict[str, Disturbance] = {
-    "camera shifted along x": Disturbance(
-        "px", 0.02, 10.0, 0.05, _motion(lambda size, rng: {"right": size * _sign(rng)})
-    ),
-    "camera shifted along y": Disturbance(
-        "px", 0.02, 10.0, 0.05, _motion(lambda size, rng: {"down": size * _sign(rng)})
-    ),
-    "camera turned": Disturbance(
-        "°", 0.005, 3.0, 0.009, _motion(lambda size, rng: {"turn_deg": size * _sign(rng)})
-    ),
-    "camera nearer or farther": Disturbance(
-        "%", 0.01, 5.0, 0.015, _motion(lambda size, rng: {"scale": 1.0 + 0.01 * size * _sign(rng)})
-    ),
-    "camera moved in all ways": Disturbance("px", 0.02, 10.0, 0.05, _motion(_all_ways)),
-    "plain image shifted": Disturbance("px", 0.02, 15.0, 0.05, _motion(_aside, plain_only=True)),
-    "plain image turned": Disturbance(
-        "°", 0.01, 5.0, 0.009, _motion(lambda size, rng: {"turn_deg": size * _sign(rng)}, plain_only=True)
-    ),
-    "plain image of another scale": Disturbance(
-        "%", 0.01, 5.0, 0.015,
-        _motion(lambda size, rng: {"scale": 1.0 + 0.01 * size * _sign(rng)}, plain_only=True),
-    ),
-    "plain image of another product": Disturbance(
+
+_ONCE = (1.0, 1.0, 0.0)
+_SHIFT, _TURN, _SCALE = (0.02, 10.0, 0.05), (0.005, 3.0, 0.009), (0.01, 5.0, 0.015)
+_LINES, _SHARE = (1.0, 60.0, 0.0), (0.02, 0.9, 0.0)
+
+DISTURBANCES: dict[str, Disturbance] = {name: Disturbance(*of) for name, of in {
+    "camera shifted along x": ("px", *_SHIFT, _motion(lambda size, rng: {"right": size * _sign(rng)})),
+    "camera shifted along y": ("px", *_SHIFT, _motion(lambda size, rng: {"down": size * _sign(rng)})),
+    "camera turned": ("°", *_TURN, _motion(_turned)),
+    "camera nearer or farther": ("%", *_SCALE, _motion(_scaled)),
+    "camera moved in all ways": ("px", *_SHIFT, _motion(_all_ways)),
+    "plain image shifted": ("px", 0.02, 15.0, 0.05, _motion(_aside, plain_only=True)),
+    "plain image turned": ("°", 0.01, 5.0, 0.009, _motion(_turned, plain_only=True)),
+    "plain image of another scale": ("%", *_SCALE, _motion(_scaled, plain_only=True)),
+    "plain image of another product": (
         "", *_ONCE, lambda scene, _, __: (scene.laser, scene.other and scene.other.plain)
     ),
-    "JPEG": Disturbance("lost quality", 2.0, 95.0, 25.0, _both(_jpeg)),
-    "gamma": Disturbance("log power", 0.03, 0.9, 0.25, _both(_gamma)),
-    "noise": Disturbance("grey levels", 0.2, 15.0, 1.0, _both(_noise)),
-    "specks": Disturbance("share", 1e-5, 0.03, 1e-4, _laser(_specks)),
-    "out of focus": Disturbance("px", 0.2, 4.0, 0.4, _both(_blur)),
-    "laser dimmed": Disturbance("share", 0.05, 0.98, 0.2, _laser(_dimmed)),
-    "other light": Disturbance("grey levels", 1.0, 150.0, 5.0, _laser(_lamp)),
-    "black level": Disturbance("grey levels", 1.0, 60.0, 2.0, _laser(_black_level)),
-    "rows lost, last ones repeated": Disturbance("rows", 1.0, 60.0, 0.0, _laser(_lost(0, "repeated"))),
-    "rows lost, black ones added": Disturbance("rows", 1.0, 60.0, 0.0, _laser(_lost(0, "black"))),
-    "rows lost, first ones again": Disturbance("rows", 1.0, 60.0, 0.0, _laser(_lost(0, "first"))),
-    "rows twice": Disturbance("rows", 1.0, 60.0, 0.0, _laser(_doubled)),
-    "columns lost": Disturbance("columns", 1.0, 60.0, 0.0, _laser(_lost(1, "repeated"))),
-    "lower part of another frame": Disturbance("share", 0.02, 0.9, 0.0, _joined(0)),
-    "right part of another frame": Disturbance("share", 0.02, 0.9, 0.0, _joined(1)),
-    "band of rows of another frame": Disturbance("share", 0.02, 0.9, 0.0, partial(_patched, band=True)),
-    "block of another frame": Disturbance("share", 0.05, 0.95, 0.0, _patched),
-    "every other row of another frame": Disturbance("share", 0.05, 1.0, 0.0, _interlaced),
-    "more bits than said": Disturbance("bits", 9.0, 15.0, 0.0, _deep),
-    "laser off": Disturbance(
-        "", *_ONCE, _laser(lambda image, _, __: np.minimum(image, np.median(image).astype(image.dtype)))
-    ),
-    "mirrored": Disturbance("", *_ONCE, _both(lambda image, _, __: np.ascontiguousarray(image[:, ::-1]))),
-    "upside down": Disturbance("", *_ONCE, _both(lambda image, _, __: np.ascontiguousarray(image[::-1]))),
-    "laser and plain image swapped": Disturbance(
+    "JPEG": ("lost quality", 2.0, 95.0, 25.0, _both(_jpeg)),
+    "gamma": ("log power", 0.03, 0.9, 0.25, _both(_gamma)),
+    "noise": ("grey levels", 0.2, 15.0, 1.0, _both(_noise)),
+    "specks": ("share", 1e-5, 0.03, 1e-4, _laser(_specks)),
+    "out of focus": ("px", 0.2, 4.0, 0.4, _both(_blur)),
+    "laser dimmed": ("share", 0.05, 0.98, 0.2, _laser(_dimmed)),
+    "other light": ("grey levels", 1.0, 150.0, 5.0, _laser(_lamp)),
+    "black level": ("grey levels", 1.0, 60.0, 2.0, _laser(_black_level)),
+    "rows lost, last ones repeated": ("rows", *_LINES, _laser(_lost(0, "repeated"))),
+    "rows lost, black ones added": ("rows", *_LINES, _laser(_lost(0, "black"))),
+    "rows lost, first ones again": ("rows", *_LINES, _laser(_lost(0, "first"))),
+    "rows twice": ("rows", *_LINES, _laser(_doubled)),
+    "columns lost": ("columns", *_LINES, _laser(_lost(1, "repeated"))),
+    "lower part of another frame": ("share", *_SHARE, _joined(0)),
+    "right part of another frame": ("share", *_SHARE, _joined(1)),
+    "band of rows of another frame": ("share", *_SHARE, partial(_patched, band=True)),
+    "block of another frame": ("share", 0.05, 0.95, 0.0, _patched),
+    "every other row of another frame": ("share", 0.05, 1.0, 0.0, _interlaced),
+    "more bits than said": ("bits", 9.0, 15.0, 0.0, _deep),
+    "laser off": ("", *_ONCE, _laser(_off)),
+    "mirrored": ("", *_ONCE, _both(lambda image, _, __: np.ascontiguousarray(image[:, ::-1]))),
+    "upside down": ("", *_ONCE, _both(lambda image, _, __: np.ascontiguousarray(image[::-1]))),
+    "laser and plain image swapped": (
         "", *_ONCE, lambda scene, _, __: (scene.laser if scene.plain is None else scene.plain, scene.laser)
     ),
-}  # fmt: skip
+}.items()}  # fmt: skip
+
+
+# Scenes rendered anew.
+
+Options = Mapping[str, Any]
+MAKERS = {
+    "ray-caster": "simulator.options.product.items=[]",
+    "mitsuba": "simulator.options.product={family: lofted-skein}",
+}
+"""By maker: the scene's own products, drawn anew; and what the other one has like herring roe."""
+_BODIES = 2
+"""Products rendered of a scene; each is rendered unmoved first."""
+
+
+class Motion(NamedTuple):
+    """A motion of the rig with its sizes, px; `made` gives the changed options of the simulator."""
+
+    made: Callable[[Options, float], dict[str, Any]]
+    unit: str = "px"
+    low: float = 0.03
+    high: float = 6.0
+    harmless: float = 0.05
+
+
+class Moved(NamedTuple):
+    """A scene with the motion it was rendered under."""
+
+    scene: Scene
+    maker: str
+    motion: str
+    size: float
+
+
+def moved_scenes(path: Path, count: int, seed: int) -> Iterator[Moved]:
+    """Render `count` moved scenes by each maker; before each product's the unmoved one, which is none."""
+    stages = discover()
+    for number, (maker, products) in enumerate(MAKERS.items()):
+        own = SceneFile.load(path, sets=[f"simulator.use={maker}", products])
+        options = own.simulator.options.model_dump()
+        simulator = stages.load(stages.find("simulator", maker))
+        rng, made = np.random.default_rng([seed, number]), 0
+        for body in range(_BODIES):
+            for k in range(1 + math.ceil(count / _BODIES)):
+                if k and made >= count:
+                    break
+                name, size, told = "none", 0.0, options
+                if k:
+                    name, made = str(rng.choice(list(MOTIONS))), made + 1
+                    motion = MOTIONS[name]
+                    size = float(np.exp(rng.uniform(np.log(motion.low), np.log(motion.high))))
+                    told = motion.made(options, size * _sign(rng))
+                taken = simulator(simulator.Options.model_validate(told)).simulate(body, seed)
+                frames = {frame.role: frame.pixels for frame in taken.frames}
+                true_mm3 = taken.truth.products[0].visible_mm3
+                scene = Scene(f"{maker}_{body}", frames["laser"], frames.get("plain"), true_mm3)
+                yield Moved(scene, maker, name, size)
+
+
+def _camera(turn: Callable[[float, float], tuple[float, float, float]]) -> Callable[..., dict[str, Any]]:
+    """Turn the camera about its own axes by angles (x, y, z) that follow from size and focal length, px."""
+
+    def made(options: Options, size_px: float) -> dict[str, Any]:
+        part = options["camera"]
+        focal_px = 1e3 * part["focal_length_mm"] / part["pixel_size_um"]
+        return _posed(options, turn(size_px / focal_px, size_px / (0.5 * part["width_px"])), 0.0)
+
+    return made
+
+
+def _nearer(options: Options, size_px: float) -> dict[str, Any]:
+    return _posed(options, (0.0, 0.0, 0.0), size_px / (0.5 * options["camera"]["width_px"]))
+
+
+def _posed(options: Options, angles: tuple[float, float, float], nearer: float) -> dict[str, Any]:
+    part = options["camera"]
+    known = {name: part[name] for name in CameraPart.model_fields}  # a simulator may know more
+    pose = np.array(camera_of(CameraPart.model_validate(known)).T_belt_camera)
+    pose[:3, 3] += pose[:3, 2] * nearer * (pose[2, 3] / -pose[2, 2])
+    pose[:3, :3] = pose[:3, :3] @ cv2.Rodrigues(np.array(angles))[0]
+    return {**options, "camera": {**part, "T_belt_camera": pose.tolist()}}
+
+
+def _mm(options: Options, size_px: float) -> float:
+    part = options["camera"]
+    return float(size_px * part["distance_mm"] * part["pixel_size_um"] / part["focal_length_mm"] / 1e3)
+
+
+def _laser_shifted(options: Options, size_px: float) -> dict[str, Any]:
+    part, shift = options["laser"], _mm(options, size_px)
+    x, y, z = part["projector_mm"]
+    feet = [foot + shift for foot in part["belt_x_mm"]]
+    return {**options, "laser": {**part, "projector_mm": (x + shift, y, z), "belt_x_mm": feet}}
+
+
+def _laser_turned(options: Options, size_px: float) -> dict[str, Any]:
+    turn, part = math.degrees(size_px / (0.5 * options["camera"]["height_px"])), options["laser"]
+    return {**options, "laser": {**part, "yaw_deg": part["yaw_deg"] + turn}}
+
+
+def _plane_moved(options: Options, size_px: float) -> dict[str, Any]:
+    part = options["laser"]
+    feet = list(part["belt_x_mm"])
+    feet[len(feet) // 2] += _mm(options, size_px)
+    return {**options, "laser": {**part, "belt_x_mm": feet}}
+
+
+MOTIONS: dict[str, Motion] = {
+    "camera panned (rendered)": Motion(_camera(lambda angle, _: (0.0, angle, 0.0))),
+    "camera tilted (rendered)": Motion(_camera(lambda angle, _: (angle, 0.0, 0.0))),
+    "camera turned (rendered)": Motion(_camera(lambda _, roll: (0.0, 0.0, roll))),
+    "camera nearer or farther (rendered)": Motion(_nearer),
+    "laser shifted (rendered)": Motion(_laser_shifted),
+    "laser turned (rendered)": Motion(_laser_turned),
+    "one plane moved (rendered)": Motion(_plane_moved),
+}

@@ -7,22 +7,20 @@ boards. Rendered images are kept in a folder and used again.
 
 from __future__ import annotations
 
-import argparse
-import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from benchmarks.tables import put_into, table
+from benchmarks.command import parser_of
+from benchmarks.patterns import DOTS, NEAR_PX, VOLUME_HEAD, Volumes, off_cells, rendered, tell
+from benchmarks.tables import table
 from roemetry import Recipe
-from roemetry.config.scene import Scene
-from roemetry.records import Acquisition, Frame, ProductTrace, Sensor, StripeTruth
+from roemetry.records import Frame, Sensor, StripeTruth
 from roemetry.records.arrays import Floats
 from roemetry.run.pipeline import Pipeline
 from roemetry_patterns.dot_centres import DotCentres
 
-RECIPE = Path("recipes/potato_dots")
 PAGE = Path("docs/measurements/dots.md")
 FAMILIES = ("potato", "herring-roe", "egg")
 _GAIN, _READ, _DARK = 0.05, 0.8, 6.0
@@ -30,23 +28,18 @@ _GAIN, _READ, _DARK = 0.05, 0.8, 6.0
 _DRAWN = ((25.0, 1.3, 0.0), (40.0, 1.5, 0.5), (120.0, 1.5, 0.0), (180.0, 1.8, 0.3))
 """Height, grey levels, size, px, and how much longer than wide."""
 _SIDE, _PITCH = 16, 16
-_SEEN_PX = 2.0
-"""A peak nearer than this to a true dot is that dot."""
 
 
 def main() -> None:
     """Measure, print, and write the page's tables if wanted."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--seed", type=int, default=29000, help="first seed of drawn dots and of products")
     parser.add_argument("--count", type=int, default=8, help="products of each family")
     parser.add_argument("--images", type=Path, default=Path("build/dots"), help="folder of rendered images")
     parser.add_argument("--write", action="store_true", help=f"write the tables of {PAGE}")
     given = parser.parse_args()
     parts = {"centres": centres(given.seed), **products(given.seed, given.count, given.images)}
-    for name, part in parts.items():
-        print(f"{name}\n{part}")
-    if given.write:
-        put_into(PAGE, parts)
+    tell(parts, PAGE if given.write else None)
 
 
 def centres(seed: int) -> str:
@@ -64,25 +57,20 @@ def centres(seed: int) -> str:
             assert peaks.dots is not None
             found = np.column_stack([peaks.x_px, peaks.dots.y_px])
             away = np.linalg.norm(found[:, None] - places[None], axis=2)
-            near = away.min(axis=1) < _SEEN_PX
+            near = away.min(axis=1) < NEAR_PX
             error = (found - places[away.argmin(axis=1)])[near]
             off.append(error)
             std = np.sqrt(np.diagonal(peaks.dots.covariance_px2[near], axis1=1, axis2=2))
             over.append(error / std)
         error, ratio = np.concatenate(off), np.concatenate(over)
         rms, bound = np.sqrt((error**2).mean(axis=0)), _bound(rng, height, shape)
-        rows.append(
-            [
-                f"{height:g}", f"{size_px:g} × {size_px * np.sqrt(1 + longer):.2g}",
-                f"{len(error)} of {8 * _SIDE**2}", f"{rms[0]:.4f}, {rms[1]:.4f}",
-                f"{rms[0] / bound[0]:.3f}, {rms[1] / bound[1]:.3f}",
-                f"{np.mean(np.abs(ratio) < 1.96):.1%}",
-            ]
-        )  # fmt: skip
-    return table(
-        ["height, grey levels", "size, px", "found", "rms x, y, px", "over the bound", "95 % intervals hold"],
-        rows,
-    )
+        rows.append([
+            f"{height:g}", f"{size_px:g} × {size_px * np.sqrt(1 + longer):.2g}",
+            f"{len(error)} of {8 * _SIDE**2}", f"{rms[0]:.4f}, {rms[1]:.4f}",
+            f"{rms[0] / bound[0]:.3f}, {rms[1] / bound[1]:.3f}", f"{np.mean(np.abs(ratio) < 1.96):.1%}",
+        ])  # fmt: skip
+    head = ["height, grey levels", "size, px", "found", "rms x, y, px", "over the bound"]
+    return table([*head, "95 % intervals hold"], rows)
 
 
 def _drawn(rng: np.random.Generator, height: float, shape: Floats) -> tuple[Floats, Floats]:
@@ -114,91 +102,24 @@ def _bound(rng: np.random.Generator, height: float, shape: Floats) -> Floats:
     return np.asarray(np.sqrt(np.mean(variances, axis=0)))
 
 
-class Rendered(NamedTuple):
-    """An item of the ray-caster."""
-
-    laser: Any
-    plain: Any
-    stripes: StripeTruth
-    visible_mm3: float
-
-
-def rendered(family: str, seed: int, number: int, folder: Path) -> Rendered:
-    """Render an item with the recipe's rig, or read it."""
-    path = folder / f"{family}-{seed}-{number}.npz"
-    if not path.exists():
-        sets = [f"simulator.options.product={{family: {family}}}"]
-        made = Scene.load(RECIPE / "simulated.yaml", sets=sets).make().simulate(number, seed)
-        frames = {frame.role: frame.pixels for frame in made.frames}
-        truth = made.truth.stripes
-        assert truth is not None
-        path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(
-            path, laser=frames["laser"], plain=frames["plain"], x_px=truth.x_px, y_px=truth.y_px,
-            xyz_mm=truth.xyz_mm, on_product=truth.on_product, product=truth.product,
-            visible_mm3=made.truth.products[0].visible_mm3,
-        )  # fmt: skip
-    with np.load(path) as kept:
-        names = ("x_px", "on_product", "xyz_mm", "product", "y_px")
-        stripes = StripeTruth(**{name: kept[name] for name in names})
-        return Rendered(kept["laser"], kept["plain"], stripes, float(kept["visible_mm3"]))
-
-
 def products(seed: int, count: int, folder: Path) -> dict[str, str]:
     """Write labels, heights and volumes of every family."""
-    recipe = Recipe.load(RECIPE)
-    pipeline = Pipeline(recipe)
-    labels, volumes = [], []
+    pipeline, labels, volumes = Pipeline(Recipe.load(DOTS)), [], []
     for family in FAMILIES:
-        dots = np.zeros(5, np.int64)
-        height, share, holds, width, seconds = [np.empty(0)], [], 0, [], []
-        refused = 0
+        dots, height, measured = np.zeros(5, np.int64), [np.empty(0)], Volumes(pipeline, family)
         for number in range(count):
-            item = rendered(family, seed, number, folder)
-            frames = (Frame(item.laser, name="item"), Frame(item.plain, role="plain", name="item"))
-            begin = time.process_time()
-            trace = pipeline.trace(Acquisition(f"{family}_{number}", frames))
-            seconds.append(time.process_time() - begin)
-            if trace.stripes is None or trace.peaks is None or trace.profiles is None:
-                refused += 1
-                continue
-            dots += _judged(trace.stripes.peak_stripe, trace.peaks, item.stripes)
-            height.append(_height_errors(trace.profiles.xyz_mm, trace.stripes, item.stripes))
-            found = _largest(trace.products)
-            if found is None or found.volume is None:
-                refused += 1
-                continue
-            estimate = found.volume.visible_mm3
-            share.append(estimate.value / item.visible_mm3 - 1.0)
-            holds += estimate.interval[0] <= item.visible_mm3 <= estimate.interval[1]
-            width.append((estimate.interval[1] - estimate.interval[0]) / item.visible_mm3)
-        error = np.concatenate(height)
+            item = rendered(folder / f"{family}-{seed}-{number}.pickle", DOTS, family, seed, number)
+            trace, truth = measured.trace(item, f"{family}_{number}"), item.truth.stripes
+            if trace.stripes is not None and trace.peaks is not None and trace.profiles is not None:
+                assert truth is not None
+                dots += _judged(trace.stripes.peak_stripe, trace.peaks, truth)
+                height.append(_height_errors(trace.profiles.xyz_mm, trace.stripes, truth))
         right, wrong, missed, total, strays = dots.tolist()
-        labels.append(
-            [
-                family, f"{right / max(total, 1):.2%}", f"{wrong} of {right + wrong}", str(strays),
-                f"{missed}",
-                f"{1e3 * np.median(np.abs(error)):.0f} µm", f"{1e3 * np.sqrt((error**2).mean()):.0f} µm",
-            ]
-        )  # fmt: skip
-        off = 100.0 * np.array(share)
-        volumes.append(
-            [
-                family, f"{len(share)} of {count}", f"{off.mean():+.2f} %", f"{np.abs(off).mean():.2f} %",
-                f"{np.abs(off).max():.2f} %", f"{holds}", f"{100.0 * np.median(width):.1f} %",
-                f"{1e3 * np.median(seconds):.0f} ms",
-            ]
-        )  # fmt: skip
-    return {
-        "labels": table(
-            ["product", "right", "wrong", "false light labelled", "no label", "height error, median", "rms"],
-            labels,
-        ),
-        "volumes": table(
-            ["product", "measured", "mean error", "mean absolute", "largest", "hold", "median width",
-             "processor time"], volumes,
-        ),
-    }  # fmt: skip
+        share, of = f"{right / max(total, 1):.2%}", f"{wrong} of {right + wrong}"
+        labels.append([family, share, of, f"{strays}", f"{missed}", *off_cells(np.concatenate(height))])
+        volumes.append([family, *measured.cells()])
+    head = ["product", "right", "wrong", "false light labelled", "no label", "height error, median", "rms"]
+    return {"labels": table(head, labels), "volumes": table(["product", *VOLUME_HEAD], volumes)}
 
 
 def _judged(label: Any, peaks: Any, truth: StripeTruth) -> Any:
@@ -208,7 +129,7 @@ def _judged(label: Any, peaks: Any, truth: StripeTruth) -> Any:
     found = np.column_stack([peaks.x_px, peaks.dots.y_px])
     away = np.linalg.norm(found[:, None] - places[None], axis=2)
     own = away.argmin(axis=1)
-    near = away.min(axis=1) < _SEEN_PX
+    near = away.min(axis=1) < NEAR_PX
     lit = near & truth.on_product[stripe, row][own]
     right = lit & (label == stripe[own])
     wrong = lit & (label >= 0) & (label != stripe[own])
@@ -226,14 +147,6 @@ def _height_errors(xyz_mm: Floats, stripes: Any, truth: StripeTruth) -> Floats:
             truth.x_px[stripe, seen] - stripes.x_px[stripe, row],
             truth.y_px[stripe, seen] - stripes.dots.y_px[stripe, row],
         )
-        if seen.size and off.min() < _SEEN_PX:
+        if seen.size and off.min() < NEAR_PX:
             errors.append(xyz_mm[stripe, row, 2] - truth.xyz_mm[stripe, seen[off.argmin()], 2])
     return np.array(errors)
-
-
-def _largest(found: tuple[ProductTrace, ...]) -> ProductTrace | None:
-    return max(found, key=lambda one: int((one.product.profiles.product > 0).sum()), default=None)
-
-
-if __name__ == "__main__":
-    main()

@@ -10,21 +10,19 @@ the shell to the first extraction. ``--page`` puts the tables into the documenta
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import chain
 
 import cv2
 import numpy as np
 
-from benchmarks.extraction.along import along
-from benchmarks.extraction.bias import bias
+from benchmarks.command import parser_of
 from benchmarks.extraction.drawing import SIZES, Light, drawn_set
-from benchmarks.extraction.first import startup
+from benchmarks.extraction.judging import along, bias, close_together, precision, two_materials
 from benchmarks.extraction.methods import TOLD, Method, frame_of, measured_beforehand, methods
-from benchmarks.extraction.precision import close_together, precision, two_materials
-from benchmarks.extraction.speed import frame_after_frame, speed
+from benchmarks.extraction.timing import frame_after_frame, speed, startup
 from benchmarks.tables import Table, put_tables
 from roemetry.records import Frame
 
@@ -34,9 +32,7 @@ SEED = 40_000
 
 def main() -> None:
     """Print the tables, and put them into the documentation if wanted."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parts = ("precision", "materials", "pitch", "bias", "along", "speed", "startup")
     parser.add_argument("--only", nargs="*", choices=parts, default=parts, help="parts to run")
     parser.add_argument("--methods", nargs="*", default=[], help="only methods whose name holds a word")
@@ -50,20 +46,19 @@ def main() -> None:
     cv2.setNumThreads(1)
     judged, left_out = methods(tuple(given.methods))
     fast = [method for method in judged if not method.slow]
-    ours = [method for method in judged if method.ours]
-    finding = [method for method in ours if method.name not in TOLD]
+    # without the peers that would take most of an hour for a million rows
+    quick = [one for one in judged if one.ours or one.name.startswith(("OpenCV", "numpy", "C++"))]
+    finding = [one for one in judged if one.ours and one.name not in TOLD]
+    images, seed = given.images, given.seed
     runs: dict[str, Callable[[], list[Table]]] = {
-        "precision": lambda: [
-            precision(judged, given.images, given.seed, known=True),
-            *unknown(finding, given.images, given.seed),
-        ],
-        "materials": lambda: [two_materials(judged, given.images, given.seed)],
-        "pitch": lambda: [close_together(fast, max(given.images // 4, 1), given.seed)],
-        "bias": lambda: [bias(quick(judged), given.rows, given.seed)],
-        "along": lambda: along(max(given.images // 2, 1), given.seed),
+        "precision": lambda: [precision(judged, images, seed, known=True), *unknown(finding, images, seed)],
+        "materials": lambda: [two_materials(judged, images, seed)],
+        "pitch": lambda: [close_together(fast, max(images // 4, 1), seed)],
+        "bias": lambda: [bias(quick, given.rows, seed)],
+        "along": lambda: along(max(images // 2, 1), seed),
         "speed": lambda: [
-            speed(everything := timed(judged, given.seed), given.sizes, given.repeats, given.seed),
-            frame_after_frame(everything, given.repeats, given.seed),
+            speed(everything := timed(judged, seed), given.sizes, given.repeats, seed),
+            frame_after_frame(everything, given.repeats, seed),
         ],
         "startup": lambda: [startup([each.name for each in finding], given.repeats)],
     }
@@ -85,11 +80,7 @@ def unknown(finding: list[Method], count: int, seed: int) -> list[Table]:
     if not finding:
         return []
     table = precision(finding, count, seed, known=False)
-    return [
-        Table(
-            f"The same with nothing told about the sensor's noise. {table.title}", table.columns, table.rows
-        )
-    ]
+    return [replace(table, title=f"The same with nothing told about the sensor's noise. {table.title}")]
 
 
 def timed(judged: list[Method], seed: int) -> list[Method]:
@@ -103,12 +94,3 @@ def timed(judged: list[Method], seed: int) -> list[Method]:
         return [frame_of(drawn_set("speckle", size, rng).pixels, light) for _ in range(2)]
 
     return [*judged, measured_beforehand(others)]
-
-
-def quick(judged: list[Method]) -> list[Method]:
-    """Leave out the peers that would take most of an hour for a million rows."""
-    return [method for method in judged if method.ours or method.name.startswith(("OpenCV", "numpy", "C++"))]
-
-
-if __name__ == "__main__":
-    main()

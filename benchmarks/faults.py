@@ -4,13 +4,12 @@
 [--jobs 1] [--cluster ADDRESS]``
 
 The data must state true volumes: a data set, or `truth.json` of a rendered rig beside the recipe; with
-`--moved` scenes are rendered anew by both simulators with the rig moved (`benchmarks.moved_rigs`). Each case
-takes one scene, one of `DISTURBANCES` and a size. It is *held* (the true visible volume lies in the stated
-95 % interval), *outside* it, *gross* (beyond three half-widths), *not stated* or *refused*. Of a hundred
-undisturbed scenes up to five may be outside, so what the disturbance is to blame for is said, too: a case
-outside is a *lie* where the same scene undisturbed is not, or the volume moved by more than the half-width.
-Cases come in an order drawn at random, so that a part of them is a sample of all; `--record` goes on where it
-stopped.
+`--moved` scenes are rendered anew by both simulators with the rig moved. Each case takes one scene, one of
+`DISTURBANCES` and a size. It is *held* (the true visible volume lies in the stated 95 % interval), *outside*
+it, *gross* (beyond three half-widths), *not stated* or *refused*. Of a hundred undisturbed scenes up to five
+may be outside, so what the disturbance is to blame for is said, too: a case outside is a *lie* where the same
+scene undisturbed is not, or the volume moved by more than the half-width. Cases come in an order drawn at
+random, so that a part of them is a sample of all; `--record` goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -20,21 +19,25 @@ import json
 import math
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from markupsafe import Markup
 
-from benchmarks import sharing
-from benchmarks.disturbances import DISTURBANCES, Disturbance, Scene
-from benchmarks.moved_rigs import MOTIONS, moved_scenes
+from benchmarks.command import add_sharing, keep, kept, parser_of, shared
+from benchmarks.disturbances import DISTURBANCES, MOTIONS, Disturbance, Image, Motion, Scene, moved_scenes
+from benchmarks.pictures import svg_file
+from benchmarks.tables import table
 from roemetry import Recipe
 from roemetry.config.dataset import Dataset
+from roemetry.html import plots as svg
 
 SEED = 20261124
 NONE = "none"
+KINDS: dict[str, Disturbance | Motion] = {**DISTURBANCES, **MOTIONS}
 _VERDICTS = ("held", "outside", "gross", "not stated", "refused")
 _GROSS = 3.0
 _MUCH = 0.05
@@ -61,51 +64,46 @@ class Case:
     """base_…: the same of the scene undisturbed."""
 
     @property
+    def outside(self) -> bool:
+        """Whether its interval does not hold the truth."""
+        return self.verdict in ("outside", "gross")
+
+    @property
     def lies(self) -> bool:
         """Whether the disturbance made a number whose interval does not hold the truth."""
         moved = not abs(self.error - self.base_error) <= self.half
-        return self.verdict in ("outside", "gross") and (
-            self.base_verdict not in ("outside", "gross") or moved
-        )
+        return self.outside and (self.base_verdict not in ("outside", "gross") or moved)
 
 
 def main() -> None:
     """Measure what is asked for and print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("recipes", nargs="*", help="a recipe, or recipe=folder of a data set")
     parser.add_argument("--images", type=int, default=6, help="scenes of each recipe")
     parser.add_argument("--cases", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--only", nargs="*", default=(), help="how names of disturbances begin")
-    parser.add_argument(
-        "--moved", type=int, default=0, help="scenes with a moved rig, of each recipe's scene"
-    )
+    parser.add_argument("--moved", type=int, default=0, help="scenes with a moved rig, of each recipe's")
     parser.add_argument("--record", type=Path, help="file of cases, continued")
     parser.add_argument("--minutes", type=float, default=math.inf, help="stop after so many")
     parser.add_argument("--page", type=Path)
     parser.add_argument("--curves", type=Path, help="SVG of size against error")
-    sharing.add_options(parser)
+    add_sharing(parser)
     asked = parser.parse_args()
     until = time.monotonic() + 60.0 * asked.minutes
-    found = [] if asked.record is None else read(asked.record)
+    found = [Case(**case) for case in kept(asked.record)]
     begun = len(found)
     for case in measured(asked, done=begun):
         found.append(case)
-        if asked.record is not None:
-            with asked.record.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(asdict(case)) + "\n")
+        keep(asked.record, asdict(case))
         if time.monotonic() > until:
             break
-    text = f"{table(found)}\n\n{summary(found)}"
+    text = f"{verdicts(found)}\n{summary(found)}"
     print(text)
     print(f"{len(found) - begun} cases were new")
     if asked.page:
         asked.page.write_text(f"{text}\n", "utf-8")
     if asked.curves:
-        from benchmarks.faults_curves import draw
-
         draw(asked.curves, found)
 
 
@@ -114,21 +112,19 @@ def measured(asked: argparse.Namespace, done: int) -> Iterator[Case]:
     if not asked.recipes:  # the record as it is
         return
     if asked.moved:
-        yield from _rendered({word: recipe_of(word, Path.cwd()) for word in asked.recipes}, asked, done)
+        yield from _rendered(asked, done)
         return
     fixed = (asked.recipes, Path.cwd(), asked.images, asked.seed)
-    names = [name for name in DISTURBANCES if _asked_for(name, asked.only)]
+    names = [name for name in DISTURBANCES if not asked.only or name.startswith(tuple(asked.only))]
     drawn_cases = _shuffled(_Disturbed(*fixed).places, names, asked.cases, asked.seed)
-    yield from sharing.shared(asked, _Disturbed, fixed, list(enumerate(drawn_cases))[done:])
+    yield from shared(asked, _Disturbed, fixed, list(enumerate(drawn_cases))[done:])
 
 
 def recipe_of(word: str, folder: Path) -> Recipe:
     """Load ``recipe`` or ``recipe=folder of a data set``, relative to a folder."""
     path, _, data = word.partition("=")
-    sets = ["uncertainty=linear"]
-    if data:
-        sets += ["source.use=dataset", f"source.path={folder / data}", "source.options={}"]
-    return Recipe.load(folder / path, sets=sets)
+    sets = ["source.use=dataset", f"source.path={folder / data}", "source.options={}"] if data else []
+    return Recipe.load(folder / path, sets=["uncertainty=linear", *sets])
 
 
 class _Disturbed:
@@ -151,22 +147,22 @@ class _Disturbed:
         """Measure the disturbed scene beside the undisturbed one."""
         number, (place, name) = task
         word, k = place
-        recipe, scene = self._recipes[word], self._scenes[word][k]
+        recipe, scene, kind = self._recipes[word], self._scenes[word][k], DISTURBANCES[name]
         if place not in self._base:
             self._base[place] = judged(recipe, scene, scene.laser, scene.plain)
         rng = np.random.default_rng([self._seed, number])
-        size = drawn(DISTURBANCES[name], rng)
-        images = DISTURBANCES[name].make(scene, size, rng)
+        size = float(np.exp(rng.uniform(np.log(kind.low), np.log(kind.high))))
+        images = kind.make(scene, size, rng)
         scene = scene._replace(true_mm3=scene.shown_mm3(images[0]))
         return against(judged(recipe, scene, *images), self._base[place], word, name, size)
 
 
-def _rendered(recipes: Mapping[str, Recipe], asked: argparse.Namespace, done: int) -> Iterator[Case]:
+def _rendered(asked: argparse.Namespace, done: int) -> Iterator[Case]:
     """Measure scenes that are rendered with the rig moved."""
     number = 0
-    for word, recipe in recipes.items():
-        base: Case | None = None
-        for moved in moved_scenes(recipe.path.parent / "scene.yaml", asked.moved, asked.seed, done - number):
+    for word in asked.recipes:
+        recipe, base = recipe_of(word, Path.cwd()), None
+        for moved in moved_scenes(recipe.path.parent / "scene.yaml", asked.moved, asked.seed):
             case = judged(recipe, moved.scene, moved.scene.laser, moved.scene.plain)
             number += 1
             if moved.motion == NONE:
@@ -175,25 +171,17 @@ def _rendered(recipes: Mapping[str, Recipe], asked: argparse.Namespace, done: in
                 yield against(case, base, f"{word} {moved.maker}", moved.motion, moved.size)
 
 
-def drawn(disturbance: Disturbance, rng: np.random.Generator) -> float:
-    """Draw a size, evenly over its logarithm."""
-    return float(np.exp(rng.uniform(np.log(disturbance.low), np.log(disturbance.high))))
-
-
 def scenes_of(recipe: Recipe, count: int) -> Iterator[Scene]:
     """Give the first acquisitions of a recipe's data of which one product's visible volume is known."""
     source, folder = recipe.source.make(), recipe.path.parent
-    truths: dict[str, float] = {}
     if (folder / "truth.json").exists():
         bodies = json.loads((folder / "truth.json").read_text("utf-8"))["objects"]
         truths = {name: body["topview_volume_mm3"] for name, body in bodies.items()}
     else:
         own = (recipe.source_path / "dataset.yaml").exists()
         data = Dataset(recipe.source_path if own else folder)
-        for item in data.items():
-            products = data.truth(item).products
-            if len(products) == 1:
-                truths[item.id] = products[0].visible_mm3
+        products = {item.id: data.truth(item).products for item in data.items()}
+        truths = {name: one[0].visible_mm3 for name, one in products.items() if len(one) == 1}
     for reference in source.references(recipe.source_path):
         if reference.id in truths and count > 0:
             count -= 1
@@ -203,61 +191,54 @@ def scenes_of(recipe: Recipe, count: int) -> Iterator[Scene]:
             yield Scene(reference.id, laser.pixels, plain and plain.pixels, truths[reference.id])
 
 
-def judged(recipe: Recipe, scene: Scene, laser: NDArray[np.uint8], plain: NDArray[np.uint8] | None) -> Case:
+def judged(recipe: Recipe, scene: Scene, laser: Image, plain: Image | None) -> Case:
     """Measure images of a scene; what is said of the largest product against the truth."""
     before = None if scene.other is None else scene.other.laser
     rows = recipe.measure(laser, plain=plain, before=before, name=scene.name)
     volumes = [(row, row.volume) for row in rows if row.volume is not None]
+    case = Case(str(recipe.path), scene.name, NONE, 0.0, "refused")
     if not volumes:
         codes = {reason.code for row in rows for reason in (*row.absent.values(), *row.reasons)}
-        return Case(str(recipe.path), scene.name, NONE, 0.0, "refused", why=" ".join(sorted(codes)))
+        return replace(case, why=" ".join(sorted(codes)))
     row, volume = max(volumes, key=lambda pair: pair[1].visible_mm3.value)
     low, high = volume.visible_mm3.interval
     error_mm3, half = volume.visible_mm3.value - scene.true_mm3, (high - low) / 2.0
     said = "held" if abs(error_mm3) <= half else "gross" if abs(error_mm3) > _GROSS * half else "outside"
-    return Case(
-        str(recipe.path),
-        scene.name,
-        NONE,
-        0.0,
-        said if math.isfinite(half) else "not stated",
-        error_mm3 / scene.true_mm3,
-        half / scene.true_mm3,
-        "" if row.grade is None else row.grade.label,
-    )
+    return replace(
+        case, verdict=said if math.isfinite(half) else "not stated", error=error_mm3 / scene.true_mm3,
+        half=half / scene.true_mm3, grade="" if row.grade is None else row.grade.label,
+    )  # fmt: skip
 
 
 def against(case: Case, base: Case, recipe: str, disturbance: str, size: float) -> Case:
     """Give a case its name and the undisturbed one beside it."""
-    own = asdict(case) | {"recipe": recipe, "disturbance": disturbance, "size": size}
-    own |= {"base_verdict": base.verdict, "base_error": base.error, "base_grade": base.grade}
-    return Case(**own)
+    return replace(
+        case, recipe=recipe, disturbance=disturbance, size=size, base_verdict=base.verdict,
+        base_error=base.error, base_grade=base.grade,
+    )  # fmt: skip
 
 
-def table(found: Sequence[Case]) -> str:
+def verdicts(found: Sequence[Case]) -> str:
     """Write a line a disturbance: cases, verdicts, lies, and what was measured against the undisturbed."""
-    lines = [
-        f"| disturbance | sizes | cases | {' | '.join(_VERDICTS)} | lies | largest error of the held | "
-        "grades right → wrong |",
-        "|---" * (6 + len(_VERDICTS)) + "|",
-    ]
     by_name: dict[str, list[Case]] = defaultdict(list)
     for case in found:
         by_name[case.disturbance].append(case)
-    for name in sorted(by_name, key=[*DISTURBANCES, *MOTIONS].index):
-        cases, kind = by_name[name], DISTURBANCES.get(name) or MOTIONS[name]
+    rows = []
+    for name in sorted(by_name, key=list(KINDS).index):
+        cases, kind = by_name[name], KINDS[name]
         sizes = f"{kind.low:g}–{kind.high:g} {kind.unit}" if kind.unit else ""
-        told = " | ".join(str(sum(case.verdict == said for case in cases)) for said in _VERDICTS)
+        counts = [sum(case.verdict == said for case in cases) for said in _VERDICTS]
+        counts.append(sum(case.lies for case in cases))
         held = [abs(case.error) for case in cases if case.verdict == "held"]
-        flips = sum(map(flipped, cases))
-        lines.append(
-            f"| {name} | {sizes} | {len(cases)} | {told} | {sum(case.lies for case in cases)} | "
-            f"{f'{max(held):.1%}' if held else '–'} | {flips} |"
+        largest = f"{max(held):.1%}" if held else "–"
+        rows.append(
+            [name, sizes, f"{len(cases)}", *map(str, counts), largest, f"{sum(map(_flipped, cases))}"]
         )
-    return "\n".join(lines)
+    last = ("lies", "largest error of the held", "grades right → wrong")
+    return table(["disturbance", "sizes", "cases", *_VERDICTS, *last], rows)
 
 
-def flipped(case: Case) -> bool:
+def _flipped(case: Case) -> bool:
     """Say whether another class is told than of the undisturbed scene; `unknown` is none."""
     told = {case.grade, case.base_grade}
     return len(told) == 2 and not told & {"", "unknown"}
@@ -265,8 +246,7 @@ def flipped(case: Case) -> bool:
 
 def harmless(case: Case) -> bool:
     """Say whether no stripe was harmed, and the undisturbed scene was measured."""
-    kind = DISTURBANCES.get(case.disturbance) or MOTIONS[case.disturbance]
-    return case.size <= kind.harmless and case.base_verdict != "refused"
+    return case.size <= KINDS[case.disturbance].harmless and case.base_verdict != "refused"
 
 
 def summary(found: Iterable[Case]) -> str:
@@ -276,33 +256,21 @@ def summary(found: Iterable[Case]) -> str:
     if not found or not mild:
         return "too few cases to sum up"
 
-    def part(cases: list[Case]) -> str:
-        return f"{len(cases) / len(found):.2%}"
+    def part(which: Iterable[bool]) -> str:
+        return f"{sum(which) / len(found):.2%}"
 
-    outside = [case for case in found if case.verdict in ("outside", "gross")]
+    gross = [case for case in found if case.verdict == "gross"]
     bare = [case for case in found if case.verdict == "not stated"]
     moved = [case for case in bare if abs(case.error - case.base_error) > _MUCH]
     return (
-        f"{len(found)} disturbed cases: {part(outside)} outside the interval, "
-        f"{part([case for case in found if case.lies])} by the disturbance; beyond three half-widths "
-        f"{part([case for case in found if case.verdict == 'gross'])}, "
-        f"{part([case for case in found if case.verdict == 'gross' and case.lies])} by the disturbance; "
-        f"{part([case for case in found if case.verdict == 'refused'])} refused. Of {len(mild)} harmless "
+        f"{len(found)} disturbed cases: {part(case.outside for case in found)} outside the interval, "
+        f"{part(case.lies for case in found)} by the disturbance; beyond three half-widths "
+        f"{len(gross) / len(found):.2%}, {part(case.lies for case in gross)} by the disturbance; "
+        f"{part(case.verdict == 'refused' for case in found)} refused. Of {len(mild)} harmless "
         f"ones {sum(case.verdict == 'refused' for case in mild) / len(mild):.1%} refused, "
-        f"{sum(map(flipped, mild)) / len(mild):.1%} with another class. Of {len(bare)} numbers without an "
+        f"{sum(map(_flipped, mild)) / len(mild):.1%} with another class. Of {len(bare)} numbers without an "
         f"interval {len(moved)} moved by more than {_MUCH:.0%}."
     )
-
-
-def read(path: Path) -> list[Case]:
-    """Read a record of cases; one that is not there is empty."""
-    if not path.exists():
-        return []
-    return [Case(**json.loads(line)) for line in path.read_text("utf-8").splitlines()]
-
-
-def _asked_for(name: str, only: Sequence[str]) -> bool:
-    return not only or any(name.startswith(word) for word in only)
 
 
 def _shuffled(
@@ -316,5 +284,62 @@ def _shuffled(
             cases -= 1
 
 
-if __name__ == "__main__":
-    main()
+# Size of disturbance against error: a panel for each, with every case, the interval, what is refused.
+
+_STYLE = (
+    "text{font:10px system-ui,sans-serif;fill:#3c434c;text-anchor:middle}"
+    ".start{text-anchor:start}.end{text-anchor:end}.title{font-weight:600;text-anchor:start}"
+    ".grid{stroke:#d9dee4;fill:none}.zero{stroke:#8a93a0;fill:none}.ground{fill:#fff}"
+    ".interval{fill:#cfe3ef}.held{fill:#0d689c;fill-opacity:.55}.lie{fill:#d0453b}.refused{fill:#b9c0c9}"
+)
+_ACROSS, _WIDE, _HIGH, _LEFT = 3, 300.0, 168.0, 40.0
+_BINS = 8
+_FARTHEST = 0.06
+"""Errors beyond stand at the panel's edge."""
+_LEGEND = (
+    "dots: error of the volume (red: outside its interval by the disturbance); blue: median interval "
+    "(95 %); grey, from below: share refused"
+)
+
+
+def draw(path: Path, found: Sequence[Case]) -> None:
+    """Draw a panel for each disturbance that has sizes and cases."""
+    there = {case.disturbance for case in found}
+    sized = [name for name, kind in KINDS.items() if kind.low < kind.high and name in there]
+    high = 26.0 + _HIGH * math.ceil(len(sized) / _ACROSS)
+    parts = [svg.text(8.0, 16.0, _LEGEND, "start")]
+    for number, name in enumerate(sized):
+        left, top = _WIDE * (number % _ACROSS), 26.0 + _HIGH * (number // _ACROSS)
+        parts += _panel(name, [case for case in found if case.disturbance == name], left, top)
+    label = "error of the volume over the size of each disturbance"
+    svg_file(path, parts, (_ACROSS * _WIDE, high), label, _STYLE)
+
+
+def _panel(name: str, cases: Sequence[Case], left: float, top: float) -> list[Markup]:
+    kind = KINDS[name]
+    low, high, right = math.log10(kind.low), math.log10(kind.high), left + _WIDE - 10.0
+    x = svg.Axis(low, high, left + _LEFT, right)
+    y = svg.Axis(-_FARTHEST, _FARTHEST, top + _HIGH - 34.0, top + 20.0)
+    floor = y(-_FARTHEST)
+    parts = [svg.text(left + 8.0, top + 12.0, name, "title")]
+    for first, last in pairwise(np.linspace(low, high, _BINS + 1)):
+        here = [case for case in cases if first <= math.log10(case.size) <= last]
+        if halves := [case.half for case in here if math.isfinite(case.half)]:
+            half, wide = min(float(np.median(halves)), _FARTHEST), x(last) - x(first) - 1.0
+            parts.append(svg.box(x(first), y(half), wide, y(-half) - y(half), "interval"))
+        if here:
+            share = sum(case.verdict == "refused" for case in here) / len(here)
+            tall = share * (floor - y(_FARTHEST))
+            parts.append(svg.box(x(first), floor - tall, 4.0, tall, "refused", f"{share:.0%} refused"))
+    for share, words in ((-0.05, "-5 %"), (0.0, "0"), (0.05, "+5 %")):
+        line = "zero" if share == 0.0 else "grid"
+        parts.append(svg.line(left + _LEFT, y(share), right, y(share), line))
+        parts.append(svg.text(left + _LEFT - 4.0, y(share) + 4.0, words, "end"))
+    for power in range(math.ceil(low - 1e-9), math.floor(high + 1e-9) + 1):
+        parts.append(svg.text(x(power), top + _HIGH - 20.0, f"{10.0**power:g}"))
+    parts.append(svg.text(left + 0.5 * (_LEFT + _WIDE), top + _HIGH - 7.0, kind.unit))
+    for case in sorted(cases, key=lambda case: case.lies):
+        if math.isfinite(case.error):
+            look, radius = ("lie", 2.6) if case.lies else ("held", 1.5)
+            parts.append(svg.dot(x(math.log10(case.size)), y(case.error), look, "", "", radius))
+    return parts

@@ -10,51 +10,38 @@ beside them as a yardstick. What other programs take away is in no processor tim
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import time
 from collections.abc import Callable
 
 import cv2
 
+from benchmarks.command import parser_of
+from benchmarks.tables import table
 from roemetry import Pipeline, Recipe
 from roemetry.run.rows import measurements_of
-from roemetry.stages.registry import discover
 
 BUDGET_MS = {
-    "extractor": 0.35,
-    "coder": 0.20,
-    "triangulator": 0.15,
-    "volume": 0.08,
-    "classifier": 0.08,
+    "extractor": 0.35, "coder": 0.20, "triangulator": 0.15, "volume": 0.08, "classifier": 0.08,
     "records": 0.10,
-}
+}  # fmt: skip
 """Of the fastest set at 640 × 480 with 11 stripes; all together under 1 ms, the most careful under 30."""
 
-WANTED = {
-    "fastest": {
-        "extractor": ("log-parabola",),
-        "coder": ("ordered", "window-tracking"),
-        "classifier": ("arc-curvature",),
-    },
-    "careful": {
-        "extractor": ("maximum-likelihood", "centre-of-gravity", "dominant-peak"),
-        "coder": ("planes", "window-tracking"),
-    },
-    "recipe": {},
+SETS = {
+    "fastest": ("extractor=log-parabola", "coder=ordered", "classifier=arc-curvature"),
+    "careful": ("extractor=maximum-likelihood", "coder=planes"),
+    "recipe": (),
 }
-"""Stages of each set: the first of these that is there, with its default options."""
-
-
+"""Stages of each set, with their default options."""
 _BEST = "recipes/herring_roe/with_outline.yaml"
 
 
 def main() -> None:
     """Print the parts of a frame for each set."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--recipe", default="recipes/herring_roe")
     parser.add_argument("--repeats", type=int, default=50)
-    parser.add_argument("--sets", default=",".join(WANTED))
+    parser.add_argument("--sets", default=",".join(SETS))
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     parser.add_argument("--table", action="store_true", help="one line for each shipped chain")
     given = parser.parse_args()
@@ -75,8 +62,7 @@ CHAINS = (
 
 
 def _print_table(repeats: int) -> None:
-    print("| recipe | states | ms a product | times the first |\n|---|---|---|---|")
-    first = 0.0
+    rows, first = [], 0.0
     for name, path, stages, draws, states in CHAINS:
         recipe = Recipe.load(path, sets=_sets_of(stages))
         source, pipeline = recipe.source.make(), Pipeline(recipe, draws=draws)
@@ -89,16 +75,12 @@ def _print_table(repeats: int) -> None:
                 taken += [time.process_time() - begin] if turn else []  # the first loads the kernels
         median = statistics.median(taken)
         first = first or median
-        print(f"| {name} | {states} | {1e3 * median:.3g} | {median / first:.3g} |")
+        rows.append([name, states, f"{1e3 * median:.3g}", f"{median / first:.3g}"])
+    print(table(["recipe", "states", "ms a product", "times the first"], rows), end="")
 
 
 def _sets_of(name: str) -> list[str]:
-    registry = discover()
-    chosen = []
-    for kind, wanted in WANTED[name].items():
-        there = {stage.entry.name for stage in registry.of_kind(kind)}
-        chosen.append(f"stages.{kind}={next(stage for stage in wanted if stage in there)}")
-    return chosen
+    return [f"stages.{stage}" for stage in SETS[name]]
 
 
 def _print_parts(name: str, path: str, repeats: int, sets: list[str]) -> None:
@@ -121,10 +103,8 @@ def _print_parts(name: str, path: str, repeats: int, sets: list[str]) -> None:
             parts.setdefault("records", []).append(whole[-1] - sum(trace.seconds.values()))
             yardstick.append(_taken(lambda pixels=acquisition.frames[0].pixels: _blurred(pixels)))
     rows, columns = acquisitions[0].frames[0].size
-    print(
-        f"{name}: {', '.join(sets) or 'as it is'}; {len(acquisitions)} frames of {columns} × {rows}, ", end=""
-    )
-    print(f"{repeats} times each, ms")
+    many = f"{len(acquisitions)} frames of {columns} × {rows}, {repeats} times each, ms"
+    print(f"{name}: {', '.join(sets) or 'as it is'}; {many}")
     print(f"  {'':14} {'median':>8} {'quickest 5 %':>13} {'budget':>8}")
     sums = (("array to rows", whole), ("  processor", worked), ("yardstick", yardstick))
     for stage, seconds in (*parts.items(), *sums):
@@ -144,7 +124,3 @@ def _taken(work: Callable[[], object]) -> float:
     begin = time.perf_counter()
     work()
     return time.perf_counter() - begin
-
-
-if __name__ == "__main__":
-    main()

@@ -11,7 +11,6 @@ seed, which makes the same file again; `--keep` writes it.
 
 from __future__ import annotations
 
-import argparse
 import resource
 import shutil
 import sys
@@ -27,6 +26,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from benchmarks.command import parser_of
 from roemetry import Calibration, Measurement, Recipe, Rig, RoemetryError
 from roemetry.config.scene import Scene
 from roemetry.run.pipeline import Pipeline
@@ -36,32 +36,10 @@ HANG_S = 2.0
 FLOOD_MB = 500.0
 
 _WORDS = (
-    *(
-        b"&a [*a]",
-        b"*a",
-        b"\x00",
-        b"\xff\xfe",
-        b"\xed\xa0\x80",
-        b"!!python/object:os.system",
-        b"{",
-        b"]",
-        b": ",
-    ),
-    *(
-        b"nan",
-        b".inf",
-        b"-1",
-        b"0",
-        b"1e308",
-        b"1e-308",
-        b"99999999999999999999",
-        b"true",
-        b"null",
-        b"~",
-        b"''",
-    ),
-    *(b"[" * 3000, b"? " * 400, b"- " * 400, b"../" * 40, b"A" * 5000, b"\r", b"\t", b"\xe2\x80\xae"),
-)
+    b"&a [*a]", b"*a", b"\x00", b"\xff\xfe", b"\xed\xa0\x80", b"!!python/object:os.system", b"{", b"]", b": ",
+    b"nan", b".inf", b"-1", b"0", b"1e308", b"1e-308", b"99999999999999999999", b"true", b"null", b"~", b"''",
+    b"[" * 3000, b"? " * 400, b"- " * 400, b"../" * 40, b"A" * 5000, b"\r", b"\t", b"\xe2\x80\xae",
+)  # fmt: skip
 
 
 class Target(NamedTuple):
@@ -82,9 +60,7 @@ class Fault(NamedTuple):
 
 def main() -> None:
     """Run the cases and print what went wrong."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--cases", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="folder for the files that went wrong")
@@ -216,7 +192,3 @@ def _replace_word(data: bytearray, first: int, rng: np.random.Generator) -> None
 
 def _peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-
-
-if __name__ == "__main__":
-    main()

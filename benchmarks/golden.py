@@ -12,7 +12,6 @@ time or a path.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -21,6 +20,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from benchmarks.command import parser_of
 from roemetry import Recipe
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.rows import measurements_of
@@ -28,19 +28,10 @@ from roemetry.run.rows import measurements_of
 ROOT = Path(__file__).resolve().parents[1]
 GOLDEN = ROOT / "tests" / "golden"
 RECIPES = (
-    "belt_scan/height_map",
-    "belt_scan/recipe",
-    "bread_roll/recipe",
-    "egg/recipe",
-    "fish_fillet/recipe",
-    "herring_roe/by_words",
-    "herring_roe/recipe",
-    "herring_roe/with_outline",
-    "potato/recipe",
-    "potato_dots/recipe",
-    "potato_grid/recipe",
-    "weld_groove/recipe",
-)
+    "belt_scan/height_map", "belt_scan/recipe", "bread_roll/recipe", "egg/recipe", "fish_fillet/recipe",
+    "herring_roe/by_words", "herring_roe/recipe", "herring_roe/with_outline", "potato/recipe",
+    "potato_dots/recipe", "potato_grid/recipe", "weld_groove/recipe",
+)  # fmt: skip
 IMAGES = 4
 """Of a recipe's images: what moves a number moves it in the first few, and the files stay small."""
 DRAWS = 4
@@ -52,7 +43,7 @@ ABSOLUTE = 1e-9
 
 def main() -> None:
     """Compare, or write."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--write", action="store_true", help="take what is measured now for right")
     parser.add_argument(
         "--images", type=int, choices=range(1, IMAGES + 1),
@@ -132,7 +123,3 @@ def differences(expected: Any, found: Any, where: str) -> Iterator[str]:
 
 def _number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-if __name__ == "__main__":
-    main()

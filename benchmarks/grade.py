@@ -12,7 +12,6 @@ the same body, against how far bodies lie apart.
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -20,14 +19,23 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import parser_of
 from benchmarks.grading.bodies import CLASSES, Body
-from benchmarks.grading.judges import GOOD, SHOWN_MM, fitted_limits, fitted_model, judges_of, samples_of
-from benchmarks.grading.scores import UNKNOWN, Judged, judged_by
+from benchmarks.grading.judges import (
+    GOOD,
+    SHOWN_MM,
+    UNKNOWN,
+    Judged,
+    fitted_limits,
+    fitted_model,
+    judged_by,
+    judges_of,
+    samples_of,
+)
 from benchmarks.grading.unseen_products import unseen_products
 from benchmarks.grading.virtual_rig import draw_rig
 from benchmarks.grading.virtual_rows import (
     KINDS,
-    lofted_skein,
     make_body,
     rendered_bodies,
     rendered_rows,
@@ -35,8 +43,7 @@ from benchmarks.grading.virtual_rows import (
     virtual_rows,
 )
 from benchmarks.tables import table
-from benchmarks.traced import rows_of
-from benchmarks.traced.tables import LEARNING_MIX, Row
+from benchmarks.traced import LEARNING_MIX, Row, rows_of
 from roemetry_shape.learned import Learned, LearnedOptions
 from roemetry_shape.novelty import GOOD_SPREAD
 
@@ -57,7 +64,7 @@ NAMES = {
 
 def main() -> None:
     """Learn, test, and write the model; print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--bodies", type=int, default=440, help="to learn from, of each family")
     parser.add_argument("--test", type=int, default=110, help="bodies of each test")
     parser.add_argument("--unseen", type=int, default=4, help="of each family that is no skein")
@@ -74,12 +81,11 @@ def main() -> None:
     given.model.write_text(_with_origin(fitted.content, learning), encoding="utf-8")
     judges = judges_of(given.model, limits)
     tests = _tests(given.test, given.rendered, given.cache)
-    print(
-        _results(
-            {name: {j: judged_by(judge, rows) for j, judge in judges.items()} for name, rows in tests.items()}
-        )
-    )
-    print(_reliability({name: judged_by(judges["`learned`"], rows) for name, rows in tests.items()}))
+    judged = {
+        test: {name: judged_by(judge, rows) for name, judge in judges.items()} for test, rows in tests.items()
+    }
+    print(_results(judged))
+    print(_reliability({test: by_judge["`learned`"] for test, by_judge in judged.items()}))
     print(few_table(given.rendered, given.model))
     print(spread_table(given.rendered))
     print(unseen_products(given.model, range(UNSEEN_FROM, UNSEEN_FROM + given.unseen), given.cache))
@@ -149,13 +155,10 @@ FEW_FIRST, BODIES, FEW_RIGS, TRIALS = 520000, 56, 5, 4
 
 def few_table(rendered: Path | None, begin: Path) -> str:
     """Write good kept and others caught, over rigs and draws of the ten, by family and what was labelled."""
-    families = {
-        "our skeins": [make_body("ours", FEW_FIRST + k, FEW_MIX[k % len(FEW_MIX)]) for k in range(BODIES)]
-    }
+    kinds = [(FEW_FIRST + k, FEW_MIX[k % len(FEW_MIX)]) for k in range(BODIES)]
+    families = {"our skeins": [make_body("ours", *kind) for kind in kinds]}
     try:
-        families["skeins of `mitsuba`"] = [
-            lofted_skein(FEW_FIRST + k, FEW_MIX[k % len(FEW_MIX)]) for k in range(BODIES)
-        ]
+        families["skeins of `mitsuba`"] = [make_body("lofted", *kind) for kind in kinds]
     except ImportError:
         print("skeins of `mitsuba`: left out, the plugin is not installed")
     if rendered is not None:
@@ -182,29 +185,23 @@ def _measured(bodies: Sequence[Body], rig_seed: int) -> list[Row]:
 
 def _judged(by_rig: Sequence[Sequence[Row]], good: int, others: int, begin: Path | None) -> list[str]:
     rng = np.random.default_rng(FEW_FIRST)
-    kept: list[bool] = []
-    caught: list[bool] = []
-    right: list[bool] = []
-    wrong: list[bool] = []
+    kept, called = list[bool](), list[tuple[str, str]]()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "few.json"
-        for rows in by_rig:
-            for _ in range(TRIALS):
-                order = [rows[k] for k in rng.permutation(len(rows))]
-                sound = [row for row in order if row.name == GOOD]
-                deformed = [row for row in order if row.name != GOOD]
-                given = samples_of(sound[:good] + deformed[:others])
-                fitted = Learned.fit(given, good=GOOD, begin=begin)
-                path.write_text(fitted.content, encoding="utf-8")
-                learned = Learned(LearnedOptions(model=path))
-                kept += [learned.judge(row.features).label == GOOD for row in sound[good:]]
-                for row in deformed[others:]:
-                    label = learned.judge(row.features).label
-                    caught.append(label != GOOD)
-                    right.append(label == row.name)
-                    wrong.append(label in KINDS and label not in (GOOD, row.name))
-    shares = [f"{100.0 * np.mean(one):.1f} %" for one in (kept, caught, right, wrong)]
-    return [f"{shares[0]} of {len(kept)}", f"{shares[1]} of {len(caught)}", *shares[2:]]
+        for rows in (rows for rows in by_rig for _ in range(TRIALS)):
+            order = [rows[k] for k in rng.permutation(len(rows))]
+            sound = [row for row in order if row.name == GOOD]
+            deformed = [row for row in order if row.name != GOOD]
+            fitted = Learned.fit(samples_of(sound[:good] + deformed[:others]), good=GOOD, begin=begin)
+            path.write_text(fitted.content, encoding="utf-8")
+            learned = Learned(LearnedOptions(model=path))
+            kept += [learned.judge(row.features).label == GOOD for row in sound[good:]]
+            called += [(row.name, learned.judge(row.features).label) for row in deformed[others:]]
+    caught = np.mean([label != GOOD for _, label in called])
+    right = np.mean([label == name for name, label in called])
+    wrong = np.mean([label in KINDS and label not in (GOOD, name) for name, label in called])
+    counts = f"{100.0 * np.mean(kept):.1f} % of {len(kept)}", f"{100.0 * caught:.1f} % of {len(called)}"
+    return [*counts, f"{100.0 * right:.1f} %", f"{100.0 * wrong:.1f} %"]
 
 
 SPREAD_FROM, SPREAD_RIGS = 91000, 12
@@ -212,28 +209,19 @@ SPREAD_FROM, SPREAD_RIGS = 91000, 12
 
 def spread_table(rendered: Path | None) -> str:
     """Write, for each feature that tells a defect, its spread over rigs and between bodies of all classes."""
-    bodies = [
-        make_body(family, SPREAD_FROM + k, name)
-        for family in ("ours", "second")
-        for k, name in enumerate(CLASSES)
+    kinds = [
+        (family, SPREAD_FROM + k, name) for family in ("ours", "second") for k, name in enumerate(CLASSES)
     ]
+    bodies = [make_body(*kind) for kind in kinds]
     bodies += [] if rendered is None else rendered_bodies(rendered)
-    rng = np.random.default_rng(SPREAD_FROM)
-    values = [
-        [
-            [row.features[name] for name in GOOD_SPREAD]
-            for row in rows_of_body(body, "spread", k, rng, SPREAD_RIGS)
-        ]
-        for k, body in enumerate(bodies)
-    ]
+    rng, values = np.random.default_rng(SPREAD_FROM), []
+    for k, body in enumerate(bodies):
+        rows = rows_of_body(body, "spread", k, rng, SPREAD_RIGS)
+        values.append([[row.features[name] for name in GOOD_SPREAD] for row in rows])
     within = np.median([np.std(one, axis=0) for one in values], axis=0)
     between = np.std([np.median(one, axis=0) for one in values], axis=0)
-    rows = [
+    lines = [
         [f"`{name}`", f"{inner:.2g}", f"{outer:.2g}", f"{outer / inner:.1f}"]
         for name, inner, outer in zip(GOOD_SPREAD, within, between, strict=True)
     ]
-    return table(("feature", "over rigs", "between bodies", "ratio"), rows)
-
-
-if __name__ == "__main__":
-    main()
+    return table(("feature", "over rigs", "between bodies", "ratio"), lines)

@@ -11,7 +11,6 @@ and not the start.
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import sys
@@ -21,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import parser_of
 from roemetry import Recipe, RoemetryError, run_recipe
 from roemetry.run.record import RECORD, read_record
 
@@ -31,9 +31,7 @@ _LONGEST_S = 0.5
 
 def main() -> None:
     """Kill, and say what was lost."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
@@ -114,7 +112,3 @@ def _held(target: Path) -> tuple[set[str], list[str]]:
         if "the last line is cut off" not in str(error):
             return set(names), [str(error)]
     return set(names), []
-
-
-if __name__ == "__main__":
-    main()

@@ -29,20 +29,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from benchmarks.command import keep, kept
+from roemetry_line.outlets.database import connect
+
 ROOT = Path(__file__).parents[1]
+IMAGES = ROOT / "recipes" / "herring_roe" / "images"
 DISK_MB = 500
 SEEN_S = 3.0
 """How soon the operator is to see a fault."""
 
-LINE = """\
-roemetry_line: 1
-name: bench
-folder: {folder}
-stations:
-  - name: cam
-    recipe: {recipe}
-    deadline_ms: 1000
-    spool_gb: 0.1
+CAMERA = """\
     feed:
       use: basler
       options:
@@ -53,42 +49,67 @@ stations:
           {{ImageFileMode: "On", TestImageSelector: "Off", ImageFilename: {images},
            Width: 640, Height: 480, PixelFormat: Mono8}}
 """
+LINE = f"""\
+roemetry_line: 1
+name: bench
+folder: {{folder}}
+stations:
+  - name: cam
+    recipe: {{recipe}}
+    deadline_ms: 1000
+    spool_gb: 0.1
+{CAMERA}{{net}}outlets:
+  - {{{{name: gate, use: tcp, options: {{{{port: {{tcp}}, timeout_s: 1}}}}}}}}
+  - {{{{name: scada, use: opcua, options: {{{{port: {{opcua}}}}}}}}}}
+{{broker}}history: {{{{url: "{{history}}"}}}}
+page: {{{{port: {{page}}}}}}
+"""
 NETWORK_CAMERA = """\
   - name: net
-    recipe: {recipe}
+    recipe: {}
     spool_gb: 0.1
     feed:
       use: aravis
       options: {{device: 127.0.0.1, nodes: {{Width: 640, Height: 480, AcquisitionFrameRate: 2.0}}}}
 """
-REST = """\
-outlets:
-  - {{name: gate, use: tcp, options: {{port: {tcp}, timeout_s: 1}}}}
-  - {{name: scada, use: opcua, options: {{port: {opcua}}}}}
-{broker}history: {{url: "{history}"}}
-page: {{port: {page}}}
+BROKER = """\
+  - {{name: broker, use: mqtt, options: {{port: {}, topic: bench, timeout_s: 2, consumers: [bench]}}}}
 """
 
 
-def free_port() -> int:
-    """Give a port that is free now."""
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        return int(listening.getsockname()[1])
+def serve(folder: Path, log: Path) -> Process:
+    """Start a line as it is described in a folder."""
+    command = (sys.executable, "-m", "roemetry", "serve", str(folder / "line.yaml"), "--start-anyway")
+    return Process(*command, log=log)
 
 
-class Arrivals:
-    """Keys as they arrived, kept in a file, so that a later start of the benchmark knows them."""
+def asked(database: Path, query: str) -> list[tuple[Any, ...]]:
+    """Give the rows of a query to a line's database."""
+    with contextlib.closing(sqlite3.connect(database, timeout=10.0)) as db:
+        return db.execute(query).fetchall()
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.keys: list[str] = path.read_text().split() if path.exists() else []
-        self._file = path.open("a")
 
-    def add(self, key: str) -> None:
-        """Note a key."""
-        self.keys.append(key)
-        self._file.write(key + "\n")
-        self._file.flush()
+class Process:
+    """A program that can be killed and started again."""
+
+    def __init__(self, *command: str, log: Path | None = None) -> None:
+        self._command, self._log = command, log
+        self.start()
+
+    def start(self) -> None:
+        """Start it."""
+        with Path(self._log or os.devnull).open("a") as log:
+            self.process = subprocess.Popen(self._command, stdout=subprocess.DEVNULL, stderr=log)
+
+    def stop(self) -> None:
+        """Kill it."""
+        self.process.kill()
+        self.process.wait()
+
+    def end(self) -> None:
+        """Let it drain, and end."""
+        self.process.terminate()
+        self.process.wait(90)
 
 
 class Receiver:
@@ -116,13 +137,11 @@ class Receiver:
         self._open.clear()
 
     def _serve(self, server: socket.socket) -> None:
-        while True:
-            try:
+        with contextlib.suppress(OSError):
+            while True:
                 connection, _ = server.accept()
-            except OSError:
-                return
-            self._open.append(connection)
-            threading.Thread(target=self._answer, args=(connection,), daemon=True).start()
+                self._open.append(connection)
+                threading.Thread(target=self._answer, args=(connection,), daemon=True).start()
 
     def _answer(self, connection: socket.socket) -> None:
         with contextlib.suppress(OSError, ValueError), connection.makefile("rb") as lines:
@@ -134,34 +153,31 @@ class Receiver:
                 connection.sendall(f"ok {row['key']}\n".encode())
 
 
-class Broker:
-    """A mosquitto that keeps its messages on disk."""
+class Broker(Process):
+    """A mosquitto that keeps its messages on disk; it is stopped as an update of the machine would."""
 
     def __init__(self, folder: Path, port: int) -> None:
-        self.port, self._file = port, folder / "mosquitto.conf"
+        self._port = port
         # Root's mosquitto becomes another user, who may not write here and forgets its subscribers.
         user = "user root\n" if os.getuid() == 0 else ""
-        self._file.write_text(
+        (folder / "mosquitto.conf").write_text(
             f"{user}listener {port} 127.0.0.1\nallow_anonymous true\npersistence true\n"
             f"max_queued_messages 0\npersistence_location {folder}/\n"
             "autosave_on_changes true\nautosave_interval 1\n"
         )
-        self.start()
+        program = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin") or "mosquitto"
+        super().__init__(program, "-c", str(folder / "mosquitto.conf"))
 
     def start(self) -> None:
-        """Start it."""
-        program = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin") or "mosquitto"
-        self._process = subprocess.Popen([program, "-c", str(self._file)], stderr=subprocess.DEVNULL)
+        """Start it, and wait until it listens."""
+        super().start()
         for _ in range(100):
             with contextlib.suppress(OSError):
-                socket.create_connection(("127.0.0.1", self.port), 1.0).close()
+                socket.create_connection(("127.0.0.1", self._port), 1.0).close()
                 return
             time.sleep(0.05)
 
-    def stop(self) -> None:
-        """Stop it, as an update of the machine would."""
-        self._process.terminate()
-        self._process.wait()
+    stop = Process.end
 
 
 class Postgres:
@@ -175,41 +191,22 @@ class Postgres:
         if not (folder / "data").exists():
             folder.mkdir(parents=True, exist_ok=True)
             folder.chmod(0o777)
-            self._run("initdb", "-D", str(folder / "data"), "-U", "roemetry", "-A", "trust", "--no-sync")
+            self._run("initdb", "-U", "roemetry", "-A", "trust", "--no-sync")
         self.start()
 
     def start(self) -> None:
         """Start it."""
         (self._folder / "data" / "postmaster.pid").unlink(missing_ok=True)
         options = f"-p {self._port} -k {self._folder} -c listen_addresses=127.0.0.1"
-        self._run("pg_ctl", "-D", str(self._folder / "data"), "-l", str(self._folder / "log"), "-o", options,
-                  "-w", "start")  # fmt: skip
+        self._run("pg_ctl", "-l", str(self._folder / "log"), "-o", options, "-w", "start")
 
     def stop(self) -> None:
         """Let it crash."""
-        self._run("pg_ctl", "-D", str(self._folder / "data"), "-m", "immediate", "stop")
+        self._run("pg_ctl", "-m", "immediate", "stop")
 
     def _run(self, name: str, *given: str) -> None:
-        command = [*self._as, str(self._bin / name), *given]
+        command = [*self._as, str(self._bin / name), "-D", str(self._folder / "data"), *given]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=self._folder)
-
-
-class Process:
-    """A program that can be killed and started again."""
-
-    def __init__(self, *command: str, log: Path | None = None) -> None:
-        self._command, self._log = command, log
-        self.start()
-
-    def start(self) -> None:
-        """Start it."""
-        with Path(self._log or os.devnull).open("a") as log:
-            self.process = subprocess.Popen(self._command, stdout=subprocess.DEVNULL, stderr=log)
-
-    def stop(self) -> None:
-        """Kill it."""
-        self.process.kill()
-        self.process.wait()
 
 
 class Operator:
@@ -239,100 +236,98 @@ class Operator:
             return ["no connection to the line"]
         return [f"{one['station']}: {one['text']}" for one in self.state["alarms"] if one["ended"] is None]
 
+    def well(self) -> bool:
+        """Say whether all measures and everything is delivered to."""
+        state = self.state
+        return (
+            state is not None
+            and all(one["state"] == "running" for one in state["stations"])
+            and all(one["state"] == "connected" for one in state["outlets"])
+        )
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until all is well, at most so long."""
+        until_s = time.monotonic() + seconds
+        while not self.well() and time.monotonic() < until_s:
+            time.sleep(0.1)
+        return self.well()
+
 
 class Rounds:
     """The line, what is around it, and the faults."""
 
     def __init__(self, folder: Path, rate: float, recipe: Path, outage_s: float) -> None:
-        self.folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
-        ports = folder / "ports.json"
-        if not ports.exists():
-            names = ("tcp", "page", "mqtt", "database", "opcua")
-            ports.write_text(json.dumps({name: free_port() for name in names}))
-        port = json.loads(ports.read_text())
-        self.data = folder / "disk"
-        self.data.mkdir(exist_ok=True)
-        mounted = os.path.ismount(self.data) or _well(
-            "mount", "-t", "tmpfs", "-o", f"size={DISK_MB}m", "line", str(self.data)
-        )
-        self.at_tcp = Arrivals(folder / "tcp.txt")
-        self.receiver = Receiver(port["tcp"], lambda row: self.at_tcp.add(row["key"]))
-        self.broker = (
-            Broker(folder, port["mqtt"]) if shutil.which("mosquitto", path="/usr/sbin:/usr/bin") else None
-        )
-        there = any(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
-        self.database = (
-            Postgres(Path("/tmp") / f"roemetry-{port['database']}", port["database"]) if there else None
-        )
+        self.folder, self.data, self.log = folder, folder / "disk", folder / "log.jsonl"
+        self.data.mkdir(parents=True, exist_ok=True)
+        port = _ports(folder / "ports.json")
+        mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_MB}m", "line", str(self.data)]
+        mounted = os.path.ismount(self.data) or not subprocess.run(mount, capture_output=True).returncode
+        arrived = (folder / "tcp.txt").open("a")
+
+        def take(row: dict[str, Any]) -> None:
+            arrived.write(row["key"] + "\n")
+            arrived.flush()
+
+        self.receiver = Receiver(port["tcp"], take)
+        there = shutil.which("mosquitto", path="/usr/sbin:/usr/bin")
+        self.broker = Broker(folder, port["mqtt"]) if there else None
+        there_too = any(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
+        place = Path("/tmp") / f"roemetry-{port['database']}"
+        self.database = Postgres(place, port["database"]) if there_too else None
         camera = shutil.which("arv-fake-gv-camera-0.8")
         self.camera = Process(camera, "-i", "127.0.0.1", "-s", "GV01") if camera else None
-        images = ROOT / "recipes" / "herring_roe" / "images"
-        text = LINE.format(folder=self.data / "line", recipe=recipe, rate=rate, images=images)
-        text += NETWORK_CAMERA.format(recipe=recipe) if self.camera else ""
-        options = f"{{port: {port['mqtt']}, topic: bench, timeout_s: 2, consumers: [bench]}}"
-        mqtt = f"  - {{name: broker, use: mqtt, options: {options}}}\n"
-        text += REST.format(
-            tcp=port["tcp"], opcua=port["opcua"], page=port["page"], broker=mqtt if self.broker else "",
+        text = LINE.format(
+            folder=self.data / "line", recipe=recipe, rate=rate, images=IMAGES, **port,
+            net=NETWORK_CAMERA.format(recipe) if self.camera else "",
+            broker=BROKER.format(port["mqtt"]) if self.broker else "",
             history=self.database.url if self.database else "sqlite:history.sqlite",
         )  # fmt: skip
         (folder / "line.yaml").write_text(text, "utf-8")
-        self.log = folder / "log.jsonl"
-        command = (sys.executable, "-m", "roemetry", "serve", str(folder / "line.yaml"), "--start-anyway")
-        self.serve = Process(*command, log=self.log)
+        self.serve = serve(folder, self.log)
         self.operator = Operator(port["page"])
+        module = (sys.executable, "-m", "benchmarks.line_subscribers")
         self.subscribers = {
             kind: Process(
-                *(sys.executable, "-m", "benchmarks.line_subscribers", kind, str(port[kind])),
-                str(folder / f"{kind}.txt"),
-                log=folder / f"{kind}.log",
+                *module, kind, f"{port[kind]}", str(folder / f"{kind}.txt"), log=folder / f"{kind}.log"
             )
             for kind in ("opcua", *(["mqtt"] if self.broker else []))
         }
         with contextlib.suppress(OSError):  # a client that reads nothing, the whole time
-            self.stuck = socket.create_connection(("127.0.0.1", port["page"]), 30.0)
-        longer_s = outage_s - 3.5  # a round's own length, 3.5 to 5 s, comes to it
-        self.faults: dict[str, tuple[str, Callable[[float], None]]] = {
-            "kill station": ("process of station cam died", lambda _: self.kill("station cam")),
-            "kill outlets": ("process of outlets died", lambda _: self.kill("outlets")),
-            "kill page": ("no connection|process of page died", lambda _: self.kill("page")),
-            "kill serve": (
-                "no connection",
-                lambda _: (self.serve.stop(), time.sleep(2.5), self.serve.start()),
+            self.idle = socket.create_connection(("127.0.0.1", port["page"]), 30.0)
+        self.faults = self._faults(outage_s - 3.5, mounted)  # a round's own length, 3.5 to 5 s, comes to it
+
+    def _faults(self, longer_s: float, mounted: bool) -> dict[str, tuple[str, Callable[[float], object]]]:
+        """Give, by fault, what the page is to say, and what breaks it for so many seconds."""
+        all_of: dict[str, tuple[Any, str, Callable[[float], object]]] = {
+            "kill station": (True, "process of station cam died", lambda _: self.kill("station cam")),
+            "kill outlets": (True, "process of outlets died", lambda _: self.kill("outlets")),
+            "kill page": (True, "no connection|process of page died", lambda _: self.kill("page")),
+            "kill serve": (True, "no connection", lambda _: self.gone(self.serve, 2.5)),
+            "receiver gone": (True, "gate: rows are not delivered", lambda s: self.gone(self.receiver, s)),
+            "receiver stuck": (True, "gate: rows are not delivered", self.stuck_receiver),
+            "OPC UA stuck": (
+                True, "scada: clients that take no", lambda s: self.stuck("opcua", s + longer_s)
             ),
-            "receiver gone": ("gate: rows are not delivered", lambda s: self.gone(self.receiver, s)),
-            "receiver stuck": ("gate: rows are not delivered", self.stuck_receiver),
-            "OPC UA stuck": ("scada: clients that take no", lambda s: self.stuck("opcua", s + longer_s)),
-        }
-        if self.broker:
-            self.faults["broker gone"] = (
-                "broker: rows are not delivered",
-                lambda s: self.gone(self.broker, s + longer_s),
-            )
-            self.faults["MQTT stuck"] = (
-                "broker: consumers that confirm no products",
+            "broker gone": (
+                self.broker, "broker: rows are not delivered", lambda s: self.gone(self.broker, s + longer_s)
+            ),
+            "MQTT stuck": (
+                self.broker, "broker: consumers that confirm no products",
                 lambda s: self.stuck("mqtt", s + longer_s),
-            )
-        if self.database:
-            self.faults["database gone"] = (
-                "history: rows are not",
-                lambda s: self.gone(self.database, s + longer_s),
-            )
-        if self.camera:
-            self.faults["camera gone"] = (
-                "driver has not answered|no frames from",
-                lambda s: self.gone(self.camera, s),
-            )
-        if mounted:
-            self.faults["disk full"] = ("disk is full", self.fill)
+            ),
+            "database gone": (
+                self.database, "history: rows are not", lambda s: self.gone(self.database, s + longer_s)
+            ),
+            "camera gone": (
+                self.camera, "driver has not answered|no frames from", lambda s: self.gone(self.camera, s)
+            ),
+            "disk full": (mounted, "disk is full", self.fill),
+        }  # fmt: skip
+        return {name: (words, breaks) for name, (there, words, breaks) in all_of.items() if there}
 
     def ask(self, query: str) -> list[tuple[Any, ...]]:
         """Give the rows of a query to the outbox."""
-        db = sqlite3.connect(self.data / "line" / "line.sqlite", timeout=10.0)
-        try:
-            return db.execute(query).fetchall()
-        finally:
-            db.close()
+        return asked(self.data / "line" / "line.sqlite", query)
 
     def kill(self, name: str) -> None:
         """Kill one of the line's processes."""
@@ -378,15 +373,6 @@ class Rounds:
                 time.sleep(0.02)
         filler.unlink()
 
-    def well(self) -> bool:
-        """Say whether all measures and everything is delivered to."""
-        state = self.operator.state
-        return (
-            state is not None
-            and all(one["state"] == "running" for one in state["stations"])
-            and all(one["state"] == "connected" for one in state["outlets"])
-        )
-
     def round(self, fault: str, seconds: float) -> dict[str, Any]:
         """Break something; give after how long the page showed it, and when all was well again."""
         words, break_it = self.faults[fault]
@@ -404,26 +390,21 @@ class Rounds:
         break_it(seconds)
         watching.join()
         mended = time.monotonic()
-        while not self.well() and time.monotonic() - mended < 60.0:
-            time.sleep(0.1)
-        return {"fault": fault, "seen_s": round(seen[0], 2) if seen else None, "well_again": self.well(),
+        well = self.operator.wait(60.0)
+        return {"fault": fault, "seen_s": round(seen[0], 2) if seen else None, "well_again": well,
                 "mended_s": round(time.monotonic() - mended, 1)}  # fmt: skip
 
     def end(self) -> None:
         """Stop the line, so that it drains."""
-        until_s = time.monotonic() + 60.0
         time.sleep(4.0)  # what a process said before it was killed is old then
-        while not self.well() and time.monotonic() < until_s:
-            time.sleep(0.1)
-        self.serve.process.terminate()
-        self.serve.process.wait(90)
+        self.operator.wait(56.0)
+        self.serve.end()
         time.sleep(2.0)
 
     def close(self) -> None:
         """Stop everything, for good or until the benchmark goes on."""
         if self.serve.process.poll() is None:
-            self.serve.process.terminate()
-            self.serve.process.wait(90)
+            self.serve.end()
         around = (self.receiver, self.camera, self.database, *self.subscribers.values(), self.broker)
         for one in around:
             # what a round has just taken away cannot be stopped once more
@@ -431,62 +412,58 @@ class Rounds:
                 if one is not None:
                     one.stop()
 
+    def _recorded(self, file: str) -> list[str]:
+        """Give the keys of the lines of a file of all runs."""
+        stations = [self.data / "line" / "runs" / station for station in ("cam", "net")]
+        runs = [run for station in stations for run in sorted(station.glob("*"))]
+        return [f"bench/{run.name}/{row['id']}" for run in runs for row in kept(run / file)]
+
     def judged(self) -> dict[str, int]:
         """Count what is missing, doubled or out of order."""
         # the outbox keeps the last rows only
         last = {key for (key,) in self.ask("select key from rows where kind = 'product'")}
-        runs = [
-            run
-            for station in ("cam", "net")
-            for run in sorted((self.data / "line" / "runs" / station).glob("*"))
-        ]
-        record = [
-            f"bench/{run.name}/{json.loads(line)['id']}"
-            for run in runs
-            for line in (run / "measurements.jsonl").read_text().splitlines()
-        ]
-        spooled = {
-            f"bench/{run.name}/{json.loads(line)['id']}"
-            for run in runs
-            for line in (run / "items.jsonl").read_text().splitlines()
-        }
-        from roemetry_line.outlets.database import connect
-
-        url = self.database.url if self.database else f"sqlite:{self.data}/line/history.sqlite"
-        table = connect(url)
+        record, spooled = self._recorded("measurements.jsonl"), set(self._recorded("items.jsonl"))
+        table = connect(self.database.url if self.database else f"sqlite:{self.data}/line/history.sqlite")
         rows = table.ask("select line, run, id from roemetry_rows where kind = 'product'")
         table.close()
-        history = ["/".join(key) for key in rows]
-        found = {"rows of products": len(record)}
-        found["spooled frames without a row"] = len(spooled - {key.partition("#")[0] for key in record})
-        found["rows not in the record"] = len(last - set(record))
-        found["rows twice in the record"] = len(record) - len(set(record))
-        found["rows not in the history"] = len(set(record) - set(history))
-        found["rows twice in the history"] = len(history) - len(set(history))
-        for name, arrivals in (
-            ("receiver", self.at_tcp),
-            ("broker", Arrivals(self.folder / "mqtt.txt") if self.broker else None),
-        ):
-            if arrivals is not None:
-                keys = [key for key in arrivals.keys if "!" not in key]
-                once = list(dict.fromkeys(keys))
-                found[f"duplicates at the {name}, taken out"] = len(keys) - len(once)
-                found[f"rows missing at the {name}"] = len(set(record) - set(once))
-                found[f"rows at the {name} that nobody told"] = len(set(once) - set(record))
-                by_station = sorted(once, key=lambda key: key.split("/")[1].partition("-")[0])
-                found[f"rows out of order at the {name}"] = sum(
-                    one != other for one, other in zip(by_station, record, strict=False)
-                )
-        meanwhile = Arrivals(self.folder / "opcua-stuck.txt").keys
-        heard = set(Arrivals(self.folder / "opcua.txt").keys)
-        found[f"rows missing at the OPC UA client, of {len(meanwhile)} told while it was stopped"] = len(
-            set(meanwhile) - heard
-        )
-        return found
+        there, history = set(record), ["/".join(key) for key in rows]
+        found = {
+            "rows of products": len(record),
+            "spooled frames without a row": len(spooled - {key.partition("#")[0] for key in record}),
+            "rows not in the record": len(last - there),
+            "rows twice in the record": len(record) - len(there),
+            "rows not in the history": len(there - set(history)),
+            "rows twice in the history": len(history) - len(set(history)),
+        }
+        for name, file in (("receiver", "tcp"), *([("broker", "mqtt")] if self.broker else [])):
+            keys = [key for key in self._arrived(file) if "!" not in key]
+            once = list(dict.fromkeys(keys))
+            found[f"duplicates at the {name}, taken out"] = len(keys) - len(once)
+            found[f"rows missing at the {name}"] = len(there - set(once))
+            found[f"rows at the {name} that nobody told"] = len(set(once) - there)
+            by_station = sorted(once, key=lambda key: key.split("/")[1].partition("-")[0])
+            wrong = sum(one != other for one, other in zip(by_station, record, strict=False))
+            found[f"rows out of order at the {name}"] = wrong
+        meanwhile = self._arrived("opcua-stuck")
+        missing = set(meanwhile) - set(self._arrived("opcua"))
+        told = f"rows missing at the OPC UA client, of {len(meanwhile)} told while it was stopped"
+        return found | {told: len(missing)}
+
+    def _arrived(self, name: str) -> list[str]:
+        path = self.folder / f"{name}.txt"
+        return path.read_text().split() if path.exists() else []
 
 
-def _well(*command: str) -> bool:
-    return subprocess.run(command, capture_output=True, check=False).returncode == 0
+def _ports(path: Path) -> dict[str, int]:
+    """Give ports that are free, the same whenever the benchmark goes on."""
+    if not path.exists():
+        names = ("tcp", "page", "mqtt", "database", "opcua")
+        with contextlib.ExitStack() as open_ones:
+            servers = [open_ones.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in names]
+            numbers = [server.getsockname()[1] for server in servers]
+        path.write_text(json.dumps(dict(zip(names, numbers, strict=True))))
+    found: dict[str, int] = json.loads(path.read_text())
+    return found
 
 
 def faults(rounds: int, rate: float, recipe: Path, seed: int, folder: Path, outage_s: float) -> int:
@@ -494,13 +471,12 @@ def faults(rounds: int, rate: float, recipe: Path, seed: int, folder: Path, outa
 
     Broker and database are gone, and subscribers stuck, for `outage_s` and up to 1 s longer.
     """
-    notes = folder / "rounds.jsonl"
-    line = Rounds(folder.resolve(), rate, recipe, outage_s)
+    notes, line = folder / "rounds.jsonl", Rounds(folder.resolve(), rate, recipe, outage_s)
     try:
         names, counts = list(line.faults), _broken(line, rounds, seed, notes)
     finally:
         line.close()
-    told = [json.loads(text) for text in notes.read_text().splitlines()]
+    told = kept(notes)
     print(f"\n{len(told)} rounds, seed {seed}, {rate:g} frames/s")
     for name in names:
         of = [one for one in told if one["fault"] == name]
@@ -517,19 +493,14 @@ def faults(rounds: int, rate: float, recipe: Path, seed: int, folder: Path, outa
 
 def _broken(line: Rounds, rounds: int, seed: int, notes: Path) -> dict[str, int]:
     """Break what is to be broken, round by round; give what is wrong with the rows then."""
-    until_s = time.monotonic() + 300.0
-    while not line.well():
-        if time.monotonic() > until_s:
-            raise SystemExit(line.log.read_text())
-        time.sleep(0.1)
+    if not line.operator.wait(300.0):
+        raise SystemExit(line.log.read_text())
     names = list(line.faults)
-    done = len(notes.read_text().splitlines()) if notes.exists() else 0
-    for number in range(done, rounds):
+    for number in range(len(kept(notes)), rounds):
         draw = random.Random(1000 * seed + number)
         time.sleep(draw.uniform(0.5, 1.5))
         found = line.round(names[number % len(names)], draw.uniform(3.5, 5.0))
         print(f"{number + 1}/{rounds} {found}", flush=True)
-        with notes.open("a") as file:
-            file.write(json.dumps(found) + "\n")
+        keep(notes, found)
     line.end()
     return line.judged()

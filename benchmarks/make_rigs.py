@@ -12,7 +12,6 @@ camera, `dense` has narrow stripes of uneven power, a steep projector, speckle a
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import shutil
@@ -26,6 +25,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.command import parser_of
 from roemetry.config.dataset import save_bytes
 from roemetry.io.files import shipped
 from roemetry.io.yaml_source import dump
@@ -57,9 +57,7 @@ class Body:
 
 def main() -> None:
     """Read the command line and write the rigs."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--simulator", choices=MAKERS, default="mitsuba")
     parser.add_argument("--seed", type=int, required=True, help="decides everything about the rigs")
     parser.add_argument("--rigs", type=int, default=3, help="how many")

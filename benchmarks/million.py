@@ -19,6 +19,7 @@ import sys
 import time
 from pathlib import Path
 
+from benchmarks.command import parser_of
 from roemetry.cli.main import main as roemetry
 
 _RECIPE = Path("recipes/herring_roe/with_outline.yaml")
@@ -27,9 +28,7 @@ _FAULTS = ("unreadable", "belt-not-seen", "image-torn", "process-died")
 
 def main() -> None:
     """Make the record where it is not there yet, and time what is made of it."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--rows", type=int, default=1_000_000)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--recipe", type=Path, default=_RECIPE, help="whose rows are repeated")
@@ -86,7 +85,3 @@ def _make(recipe: Path, out: Path, count: int) -> None:
                 nothing = dict.fromkeys(("volume", "weight", "grade", "decision"))
                 written = row | nothing | {"status": "failed", "absent": {"source": why}, "reasons": [why]}
             file.write(json.dumps(written, ensure_ascii=False) + "\n")
-
-
-if __name__ == "__main__":
-    main()

@@ -8,7 +8,6 @@ Classifiers with something to learn have learned from other seeds (see ``grade``
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,17 +16,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.curves import curves
+from benchmarks.command import parser_of
 from benchmarks.grade import LEARN_FROM, MODEL
-from benchmarks.grading.judges import SHOWN_MM, fitted_limits, judges_of
-from benchmarks.grading.scores import Judged, confusion_of, judged_by, score_of
+from benchmarks.grading.judges import (
+    SHOWN_MM,
+    Judged,
+    confusion_of,
+    fitted_limits,
+    judged_by,
+    judges_of,
+    score_of,
+)
+from benchmarks.pictures import curves
 from benchmarks.products import Row as Product
 from benchmarks.products import rows as products_of
 from benchmarks.tables import confusion, ends, put_into, share, table
-from benchmarks.traced import rows_of
-from benchmarks.traced.causes import CAUSES
-from benchmarks.traced.shown import STRIPES
-from benchmarks.traced.tables import BEST_OPTIONS, LEARNING_MIX, NAMED, Row
+from benchmarks.traced import BEST_OPTIONS, CAUSES, LEARNING_MIX, NAMED, STRIPES, Row, rows_of
 from roemetry import Pipeline, Recipe
 from roemetry.records import Peaks, StripeMap, Trace
 from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
@@ -50,7 +54,7 @@ Picture = NDArray[np.uint8]
 
 def main() -> None:
     """Measure, and write the page's tables and figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--learn", type=int, default=750, help="skeins that limits are found on")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-traced")
@@ -260,7 +264,3 @@ def weights(rows: Sequence[Row]) -> str:
 
 def _share(of: Sequence[bool]) -> str:
     return f"{100.0 * sum(of) / len(of):.0f} %" if of else "–"
-
-
-if __name__ == "__main__":
-    main()

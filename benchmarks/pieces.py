@@ -8,13 +8,22 @@ It shall refuse that, and number no stripe wrongly.
 
 from __future__ import annotations
 
-import argparse
-
 import numpy as np
 
-from benchmarks.coded import DAMAGES, KINDS, Sample, dense_rig, easy_rig, sample_from, shape, skein
-from benchmarks.coded.crossings import crossings_of
-from benchmarks.coded.products import in_view
+from benchmarks.coded import (
+    DAMAGES,
+    KINDS,
+    Sample,
+    crossings_of,
+    dense_rig,
+    easy_rig,
+    in_view,
+    sample_from,
+    shape,
+    skein,
+)
+from benchmarks.command import parser_of
+from benchmarks.tables import table
 from roemetry.errors import StageError
 from roemetry.records import StripeMap
 from roemetry_coding.pieces import Pieces
@@ -27,21 +36,22 @@ SHAPES = ("wedge", "sphere", "cylinder", "block")
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--frames", type=int, default=60, help="frames a line; a third of it of shapes")
     parser.add_argument("--first", type=int, default=7000, help="first seed")
     given = parser.parse_args()
-    print("| scene | frames | refused | peaks numbered | wrong | frames with a wrong one |")
-    print("|---|---|---|---|---|---|")
     lines = [("easy", "skein", damage) for damage in DAMAGED] + [("dense", "skein", "none")]
     lines += [("easy", form, "none") for form in SHAPES]
+    rows = []
     for rig, form, damage in lines:
         frames = given.frames if form == "skein" else given.frames // 3
-        tell(rig, form, damage, range(given.first, given.first + frames))
+        rows.append(told(rig, form, damage, range(given.first, given.first + frames)))
+    head = ["scene", "frames", "refused", "peaks numbered", "wrong", "frames with a wrong one"]
+    print(table(head, rows), end="")
 
 
-def tell(rig_name: str, form: str, damage: str, seeds: range) -> None:
-    """Print one line."""
+def told(rig_name: str, form: str, damage: str, seeds: range) -> list[str]:
+    """Write one line."""
     refused = wrong = peaks = numbered = frames_wrong = 0
     for seed in seeds:
         rig = RIGS[rig_name](seed)
@@ -59,10 +69,8 @@ def tell(rig_name: str, form: str, damage: str, seeds: range) -> None:
         frames_wrong += mistaken > 0
         numbered += int((stripes.peak_stripe >= 0).sum())
     name = f"{form}, {rig_name} rig" + ("" if damage == "none" else f", {damage}")
-    print(
-        f"| {name} | {len(seeds)} | {refused} | {numbered / peaks:.1%} "
-        f"| {wrong} of {numbered} | {frames_wrong} |"
-    )
+    share, of = f"{numbered / peaks:.1%}", f"{wrong} of {numbered}"
+    return [name, f"{len(seeds)}", f"{refused}", share, of, f"{frames_wrong}"]
 
 
 def wrong_numbers(stripes: StripeMap, sample: Sample) -> int:
@@ -74,7 +82,3 @@ def wrong_numbers(stripes: StripeMap, sample: Sample) -> int:
     if not shift.size:
         return 0
     return int((shift != np.bincount(shift + 1000).argmax() - 1000).sum())
-
-
-if __name__ == "__main__":
-    main()

@@ -9,7 +9,6 @@ seconds of one core each.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import tempfile
@@ -20,9 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import parser_of
 from benchmarks.grading.judges import SHOWN_MM
 from benchmarks.tables import confusion, share, table
-from benchmarks.traced.tables import NAMED
+from benchmarks.traced import NAMED
 from roemetry import Pipeline, Recipe
 from roemetry.config.dataset import Dataset
 from roemetry.config.scene import Scene
@@ -78,24 +78,21 @@ class Row:
         features = self.one.grade.features if self.one and self.one.grade else {}
         figures, score = self.truth.figures, self.coding
         cells = [
-            self.id,
-            self.truth.defect,
-            f"{self.visible_cm3:.2f}",
+            self.id, self.truth.defect, f"{self.visible_cm3:.2f}",
             f"{math.nan if volume is None else 1e-3 * volume.std:.2f}",
-            f"{100 * self.off('visible_mm3'):+.2f} %",
-            f"{100 * self.off('true_mm3'):+.2f} %",
+            f"{100 * self.off('visible_mm3'):+.2f} %", f"{100 * self.off('true_mm3'):+.2f} %",
             f"{math.nan if mass is None else mass.value:.1f} ({self.truth.mass_g:.1f})",
             f"{features.get('length_mm', math.nan):.1f} ({figures.get('length_mm', math.nan):.1f})",
             f"{_highest(self.one):.1f} ({figures.get('thickness_mm', math.nan):.1f})",
             "" if score is None else f"{score.right / max(score.visible, 1):.1%}, {score.wrong_points}",
             self.says,
-        ]
+        ]  # fmt: skip
         return [cell.replace("nan", "–") for cell in cells]
 
 
 def main() -> None:
     """Print the tables of each recipe."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("recipes", nargs="+", type=Path, metavar="RECIPE")
     parser.add_argument("--data", type=Path, help="a data set of simulated products")
     parser.add_argument("--seed", type=int, help="of the first new product")
@@ -213,7 +210,3 @@ def _highest(one: ProductTrace | None) -> float:
         return math.nan
     profiles = one.product.profiles
     return float(np.nanmax(profiles.xyz_mm[..., 2][profiles.product == one.product.number]))
-
-
-if __name__ == "__main__":
-    main()

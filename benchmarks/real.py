@@ -16,7 +16,6 @@ has more of the weld, and the wheel set.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -26,7 +25,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.extraction.methods import extractors
+from benchmarks.command import parser_of
+from benchmarks.extraction.methods import there
 from benchmarks.real_images import folder_of, prepared
 from benchmarks.real_images.boards import POSES, line_on_board
 from benchmarks.real_images.weld import line_of
@@ -54,21 +54,14 @@ class Known(NamedTuple):
 
 def main() -> None:
     """Print the tables; write overlays where a folder is given."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--extractors", nargs="*", default=[], help="only those whose name holds a word")
     parser.add_argument("--out", type=Path, help="folder for overlays: peaks drawn over the images")
     parser.add_argument("--page", action="store_true", help="put the tables into the documentation")
     given = parser.parse_args()
     cv2.setNumThreads(1)
-    stages = {
-        name: stage
-        for name, stage in extractors()
-        if not isinstance(stage, str)
-        and (not given.extractors or any(word in name for word in given.extractors))
-    }
-    tables = []
+    stages = dict(there(given.extractors))
+    tables, follows = [], []
     for title, images in SETS.items():
         known = list(images())
         if not known:
@@ -78,6 +71,8 @@ def main() -> None:
         for name, stage in stages.items():
             found = [_extracted(stage, image.frame) for image in known]
             rows.append([name, *judged(known, found)])
+            if title != "turntable, grey":
+                follows.append([title, name, *followed(known, found)])
             if title == "turntable, green":
                 rows[-1] += repeated(found)
             if given.out:
@@ -88,30 +83,23 @@ def main() -> None:
         head += ["repeats on the wall, px", "stated there, px"] if title == "turntable, green" else []
         tables.append(Table(title, head, rows))
         print(tables[-1], flush=True)
-    rows = [
-        [title, name, *followed(known, stage)]
-        for title in FOLLOWED
-        if (known := list(SETS[title]()))
-        for name, stage in stages.items()
-    ]
     head = ["set", "extractor", "rows with a line", "followed, %", f"of these > {_FAR_PX:.0f} px off, %"]
-    tables.append(Table("one line, by the coder single", head, rows))
+    tables.append(Table("one line, by the coder single", head, follows))
     print(tables[-1], flush=True)
-    if given.page and rows:
+    if given.page and follows:
         put_tables(tables, "real")
 
 
-def followed(known: Sequence[Known], stage: Extractor[Any]) -> list[str]:
+def followed(known: Sequence[Known], found: Sequence[Peaks | None]) -> list[str]:
     """Count rows of the line, those in which `single` sees it, and where it follows another one."""
     rows = seen = far = 0
-    for image in known:
-        peaks = _extracted(stage, image.frame)
-        there = np.isfinite(image.line_px)
-        rows += int(there.sum())
+    for image, peaks in zip(known, found, strict=True):
+        known_rows = np.isfinite(image.line_px)
+        rows += int(known_rows.sum())
         if peaks is None:
             continue
         coded = Single().code(peaks, None)
-        on = there & coded.seen[0]
+        on = known_rows & coded.seen[0]
         seen += int(on.sum())
         far += int((np.abs(coded.x_px[0] - image.line_px)[on] > _FAR_PX).sum())
     return [str(rows), number(100.0 * seen / max(rows, 1), 2), number(100.0 * far / max(seen, 1), 2)]
@@ -243,15 +231,3 @@ SETS: dict[str, Callable[[], Iterator[Known]]] = {
     "boards, contrast red": lambda: boards(contrast="red"),
     "weld": weld,
 }
-
-FOLLOWED = (
-    "turntable, green",
-    "turntable, contrast green",
-    "boards, less the laser-off image",
-    "boards, contrast red",
-    "weld",
-)
-"""Sets through which `single` follows the line."""
-
-if __name__ == "__main__":
-    main()

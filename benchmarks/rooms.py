@@ -113,7 +113,3 @@ def main() -> None:
     argparse.ArgumentParser(description=__doc__).parse_args()
     DRAWING.write_text(drawing(), encoding="utf-8")
     sys.stdout.write(f"{DRAWING.relative_to(ROOT)}\n")
-
-
-if __name__ == "__main__":
-    main()

@@ -10,7 +10,6 @@ pyramid, as users measure it, and never from the truth. Seeds from 500 on were n
 
 from __future__ import annotations
 
-import argparse
 import math
 import resource
 import subprocess
@@ -25,13 +24,20 @@ from typing import Any
 import cv2
 import numpy as np
 
+from benchmarks.command import parser_of
+from benchmarks.tables import Against
 from roemetry.config.recipe import Recipe
 from roemetry.io.yaml_source import dump
-from roemetry.records import Acquisition, Frame, Pyramid, ScanLines, StripeMap, Trace
+from roemetry.records import Acquisition, Frame, Product, Profiles, Pyramid, ScanLines, StripeMap, Trace
 from roemetry.records.calibration import Calibration
 from roemetry.records.scan import Motion
+from roemetry.run.open_parts import split_products
 from roemetry.run.pipeline import Pipeline
+from roemetry.run.scan import gather
 from roemetry_pinhole.pinhole_plane import PinholePlane, displacements, rest_polynomials, view_of
+from roemetry_scan.belt import BeltOptions
+from roemetry_scan.closed import Registration, closed_volume
+from roemetry_scan.dense import DenseSlices
 from roemetry_scan.formats import write
 from roemetry_scan.formats.points import measured_of
 from roemetry_scan.placing import BeltMotion
@@ -201,9 +207,8 @@ def motion(count: int, seed: int) -> None:
         pitch.append(np.linalg.norm(t) / np.linalg.norm(true) - 1.0)
         lean.append(np.degrees(np.arccos(min(1.0, t @ true / np.linalg.norm(t) / np.linalg.norm(true)))))
         placed = BeltMotion()
-        profiles = placed.label(
-            placed.place(stripes, lines, replace(calibration, motion=found), PinholePlane())
-        )
+        known = replace(calibration, motion=found)
+        profiles = placed.label(placed.place(stripes, lines, known, PinholePlane()))
         z = profiles.xyz_mm[..., 2]
         top = (profiles.product == 1) & profiles.seen & (z > PYRAMID.height_mm - 0.3)
         heights.append(np.sqrt(np.mean((z[top] - PYRAMID.height_mm) ** 2)) / _range_mm(sim))
@@ -225,96 +230,82 @@ def _range_mm(sim: MovingBelt) -> float:
     return float(np.ptp(ends[:, 2]))
 
 
+def _told(how: str, family: str, found: Against) -> None:
+    off = found.off
+    print(
+        f"{how}, {off.size} × {family}: mean {off.mean():+.2%}, mean absolute {np.abs(off).mean():.2%}, "
+        f"worst {np.abs(off).max():.2%}; intervals (± {found.half:.2%}) hold {found.held} of {off.size}"
+    )
+
+
+def _visible_mm3(sim: MovingBelt, seed: int) -> float:
+    drawn = sim.drawn(0, seed)
+    assert drawn is not None
+    return drawn.truth.visible_mm3
+
+
 def volumes(count: int, seed: int) -> None:
     """Say how far volumes are off, and how often their intervals hold the truth."""
     for family, options in CONVEX.items():
-        off, held, width = [], 0, []
+        found = Against()
         for k in range(count):
             rng = np.random.default_rng([seed, k, 3])
             rig = _rig(rng)
             with_pyramid = scene(family="truncated-pyramid", product=_FRUSTUM, **rig)
             calibration = drawn_calibration(with_pyramid, rng)
             stripes, lines = stripes_of(with_pyramid, seed + k, 0.05)
-            found, _ = BeltMotion().motion(stripes, lines, calibration, PinholePlane(), PYRAMID)
+            moves, _ = BeltMotion().motion(stripes, lines, calibration, PinholePlane(), PYRAMID)
             # the shadow behind a product is as long as it is high
             sim = scene(family=family, product=options, lead_mm=35.0, **rig)
             with tempfile.TemporaryDirectory() as folder:
-                recipe = recipe_of(replace(calibration, motion=found), Path(folder), uncertainty="linear")
+                recipe = recipe_of(replace(calibration, motion=moves), Path(folder), uncertainty="linear")
                 trace = measured(recipe, lines_of(sim, seed + k))
-            drawn = sim.drawn(0, seed + k)
-            assert drawn is not None
-            if len(trace.products) != 1 or trace.products[0].volume is None:
+            if len(trace.products) == 1 and trace.products[0].volume is not None:
+                found.add(trace.products[0].volume.visible_mm3, _visible_mm3(sim, seed + k))
+            else:
                 print(f"  {family} of seed {seed + k}: {trace.absent or [p.absent for p in trace.products]}")
-                continue
-            volume = trace.products[0].volume.visible_mm3
-            off.append(volume.value / drawn.truth.visible_mm3 - 1.0)
-            held += volume.interval[0] <= drawn.truth.visible_mm3 <= volume.interval[1]
-            width.append((volume.interval[1] - volume.interval[0]) / 2.0 / volume.value)
-        print(
-            f"volume, {len(off)} × {family}: mean {np.mean(off):+.2%}, "
-            f"mean absolute {np.abs(off).mean():.2%}, worst {np.abs(off).max():.2%}; "
-            f"intervals (± {np.median(width):.2%}) hold {held} of {len(off)}"
-        )
+        _told("volume", family, found)
 
 
 def shapes(count: int, seed: int) -> None:
     """Say the same without images: exact crossings with noise, so that only what slices miss is left."""
-    from roemetry.run.open_parts import split_products
-    from roemetry_scan.dense import DenseSlices
-
     for family, options in CONVEX.items():
-        off, held, width = [], 0, []
+        found = Against()
         for k in range(count):
-            sim = scene(
-                family=family, product=options, lead_mm=35.0, **_rig(np.random.default_rng([seed, k, 3]))
-            )
-            calibration, assembler = true_calibration(sim), BeltMotion()
-            stripes, lines = stripes_of(sim, seed + k, 0.05)
-            profiles = assembler.label(assembler.place(stripes, lines, calibration, PinholePlane()))
-            (product,) = split_products(profiles, (), calibration, "scan")
-            found, drawn = DenseSlices().estimate(product).visible_mm3, sim.drawn(0, seed + k)
-            assert drawn is not None
-            true = drawn.truth.visible_mm3
-            off.append(found.value / true - 1.0)
-            held += found.interval[0] <= true <= found.interval[1]
-            width.append((found.interval[1] - found.interval[0]) / 2.0 / found.value)
-        print(
-            f"without images, {len(off)} × {family}: mean {np.mean(off):+.2%}, mean absolute "
-            f"{np.abs(off).mean():.2%}, worst {np.abs(off).max():.2%}; intervals (± {np.median(width):.2%}) "
-            f"hold {held} of {len(off)}"
-        )
+            rig = _rig(np.random.default_rng([seed, k, 3]))
+            sim = scene(family=family, product=options, lead_mm=35.0, **rig)
+            _, (product,) = _placed(*stripes_of(sim, seed + k, 0.05), sim)
+            found.add(DenseSlices().estimate(product).visible_mm3, _visible_mm3(sim, seed + k))
+        _told("without images", family, found)
 
 
 def two_sides(count: int, seed: int) -> None:
     """Say how far true volumes of two heads are off: exact crossings with noise, a plate's registration."""
-    from roemetry_scan.belt import BeltOptions
-    from roemetry_scan.closed import Registration, closed_volume
-
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[2, 3] = _BELOW_MM
     registration = Registration(pose, 0.005, 6, (0.0, 0.0))
     for family in ("egg", "potato", "bread-roll"):
-        off, held, width = [], 0, []
+        found = Against()
         for k in range(count):
-            rig = _rig(np.random.default_rng([seed, k, 11]), tilt_deg=35.0)
-            sides = []
+            rig, sides = _rig(np.random.default_rng([seed, k, 11]), tilt_deg=35.0), []
             for below_mm in (None, _BELOW_MM):
                 sim = scene(family=family, product=CONVEX[family], lead_mm=35.0, below_mm=below_mm, **rig)
-                stripes, lines = stripes_of(sim, seed + k, 0.05)
-                assembler = BeltMotion(BeltOptions(belt="fit" if below_mm is None else "zero"))
-                placed = assembler.place(stripes, lines, true_calibration(sim), PinholePlane())
-                sides.append(assembler.label(placed))
-            volume, drawn = closed_volume(sides[0], sides[1], registration), sim.drawn(0, seed + k)
+                belt = BeltOptions(belt="fit" if below_mm is None else "zero")
+                sides.append(_placed(*stripes_of(sim, seed + k, 0.05), sim, belt)[0])
+            drawn = sim.drawn(0, seed + k)
             assert drawn is not None
             assert drawn.truth.true_mm3 is not None
-            true = drawn.truth.true_mm3
-            off.append(volume.value / true - 1.0)
-            held += volume.interval[0] <= true <= volume.interval[1]
-            width.append((volume.interval[1] - volume.interval[0]) / 2.0 / volume.value)
-        print(
-            f"two heads, {len(off)} × {family}: mean {np.mean(off):+.2%}, mean abs. {np.abs(off).mean():.2%}"
-            f", worst {np.abs(off).max():.2%}; intervals (± {np.median(width):.2%}) hold {held} of {len(off)}"
-        )
+            found.add(closed_volume(sides[0], sides[1], registration), drawn.truth.true_mm3)
+        _told("two heads", family, found)
+
+
+def _placed(
+    stripes: StripeMap, lines: ScanLines, sim: MovingBelt, belt: BeltOptions | None = None
+) -> tuple[Profiles, tuple[Product, ...]]:
+    """Place stripes by the true calibration; give the profiles, and the products in them."""
+    calibration, assembler = true_calibration(sim), BeltMotion(belt)
+    profiles = assembler.label(assembler.place(stripes, lines, calibration, PinholePlane()))
+    return profiles, split_products(profiles, (), calibration, "scan")
 
 
 def _spoiled(fault: str, lines: ScanLines, rng: np.random.Generator) -> tuple[ScanLines, Any]:
@@ -343,51 +334,37 @@ def _of_lines(stripes: StripeMap, index: Any) -> StripeMap:
 def faults(count: int, seed: int) -> None:
     """Say how often each fault of a scan was noticed, and what it did to the volume."""
     said = {
-        "lost": "lines-lost",
-        "reversed": "belt-reversed",
-        "wrap16": "counter-wrapped",
+        "lost": "lines-lost", "reversed": "belt-reversed", "wrap16": "counter-wrapped",
         "wrap32": "counter-wrapped",
-    }
+    }  # fmt: skip
+    roll = {"family": "bread-roll", "product": CONVEX["bread-roll"]}
     for fault, code in said.items():
         noticed, worst = 0, 0.0
         for k in range(count):
             rng = np.random.default_rng([seed, k, 5])
-            sim = scene(rows=200, columns=200, family="bread-roll", product=CONVEX["bread-roll"],
-                        **_rig(rng, counts_per_line=40))  # fmt: skip
+            sim = scene(rows=200, columns=200, **roll, **_rig(rng, counts_per_line=40))
             stripes, lines = stripes_of(sim, seed + k, 0.05)
             bad, index = _spoiled(fault, lines, rng)
-            whole = _volume(stripes, lines, sim)
+            whole, _ = _volume(stripes, lines, sim)
             value, codes = _volume(_of_lines(stripes, index), bad, sim)
             noticed += code in codes
-            worst = max(worst, abs(value / whole[0] - 1.0))
+            worst = max(worst, abs(value / whole - 1.0))
         print(f"{fault}: noticed in {noticed} of {count}; volume changed by {worst:.2%} at most")
-    noticed, worst = 0, 0.0
+    slip = {True: 0, False: 0}
     for k in range(count):
         rng = np.random.default_rng([seed, k, 6])
         share = float(rng.uniform(0.02, 0.04) * rng.choice([-1, 1]))
-        sim = scene(rows=200, columns=260, planes=3, family="bread-roll", product=CONVEX["bread-roll"],
-                    **_rig(rng, counts_per_line=40, slip_share=share))  # fmt: skip
-        stripes, lines = stripes_of(sim, seed + k, 0.05)
-        noticed += "slip" in _volume(stripes, lines, sim)[1]
-    print(f"slip of 2 to 4 % in the middle third, three lines: noticed in {noticed} of {count}")
-    false = 0
-    for k in range(count):
-        rng = np.random.default_rng([seed, k, 8])
-        sim = scene(rows=200, columns=260, planes=3, family="bread-roll", product=CONVEX["bread-roll"],
-                    **_rig(rng, counts_per_line=40))  # fmt: skip
-        stripes, lines = stripes_of(sim, seed + k, 0.05)
-        false += "slip" in _volume(stripes, lines, sim)[1]
-    print(f"no slip, three lines: said in {false} of {count}")
+        slipping = _rig(rng, counts_per_line=40, slip_share=share)
+        steady = _rig(np.random.default_rng([seed, k, 8]), counts_per_line=40)
+        for slips, rig in ((True, slipping), (False, steady)):
+            sim = scene(rows=200, columns=260, planes=3, **roll, **rig)
+            slip[slips] += "slip" in _volume(*stripes_of(sim, seed + k, 0.05), sim)[1]
+    print(f"slip of 2 to 4 % in the middle third, three lines: noticed in {slip[True]} of {count}")
+    print(f"no slip, three lines: said in {slip[False]} of {count}")
 
 
 def _volume(stripes: StripeMap, lines: ScanLines, sim: MovingBelt) -> tuple[float, set[str]]:
-    from roemetry.run.open_parts import split_products
-    from roemetry_scan.dense import DenseSlices
-
-    calibration = true_calibration(sim)
-    assembler = BeltMotion()
-    profiles = assembler.label(assembler.place(stripes, lines, calibration, PinholePlane()))
-    products = split_products(profiles, (), calibration, "scan")
+    profiles, products = _placed(stripes, lines, sim)
     value = sum(DenseSlices().estimate(one).visible_mm3.value for one in products)
     return value, {reason.code for reason in profiles.reasons}
 
@@ -423,15 +400,12 @@ def formats(count: int, seed: int) -> None:
     print(f"formats, {count} bread rolls: volumes off by at most {told}")
 
 
-def speed(count: int, seed: int) -> None:
+def speed(_: int, seed: int) -> None:
     """Say how fast lines become points, and what memory a long belt takes."""
-    from roemetry.run.scan import gather
-
     sim = scene(1280, 400, family="bread-roll", product=CONVEX["bread-roll"], counts_per_line=60)
     some = lines_of(sim, seed)
-    lines = ScanLines(some.frame, np.linspace(0.0, 60.0 * 499.0, 500), np.arange(500), (0, 500))
     frames = [some.frame(k % len(some.count)) for k in range(500)]
-    lines = replace(lines, frame=lambda k: frames[k])
+    lines = ScanLines(frames.__getitem__, np.linspace(0.0, 60.0 * 499.0, 500), np.arange(500), (0, 500))
     calibration = true_calibration(sim)
     with tempfile.TemporaryDirectory() as folder:
         for extractor in ("log-parabola", "gaussian"):
@@ -447,7 +421,6 @@ def speed(count: int, seed: int) -> None:
                 stages["assembler"].place(stripes, lines, calibration, stages["triangulator"])
                 took.append(time.process_time() - begin)
             print(f"{extractor}: {500 / np.median(took):.0f} frames of 1280 × 400 a second, array to points")
-    del count
 
 
 def files(count: int, seed: int) -> None:
@@ -514,7 +487,7 @@ PARTS: dict[str, Callable[[int, int], None]] = {
 
 def main() -> None:
     """Run the parts that are asked for."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--parts", default=",".join(PARTS))
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--seed", type=int, default=500)

@@ -10,7 +10,6 @@ products right at the limit 5 % are; nearer ones are the worst, so of all cases 
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -18,6 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.command import parser_of
+from benchmarks.tables import table
 from roemetry.config.dataset import DESCRIPTION, Dataset
 from roemetry.config.recipe import Recipe
 from roemetry.errors import RoemetryError
@@ -55,21 +56,19 @@ class Case(NamedTuple):
 
 def main() -> None:
     """Print a line for each set of options."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--cases", type=int, default=1000, help="for each set of options")
     parser.add_argument("--seed", type=int, default=1, help="of the limits")
     parser.add_argument("--lines", nargs="+", choices=list(LINES), default=list(LINES))
     parser.add_argument("--sets", nargs="+", choices=list(SETS), default=list(SETS))
     given = parser.parse_args()
-    print("| options | products | cases | decided | wrong | wrong, % of cases |")
-    print("|---|---|---|---|---|---|")
+    rows = []
     for name in given.sets:
         cases = [case for line in given.lines for case in measured(line, SETS[name])]
         decided, wrong, count = sorted_at_limits(cases, given.cases, given.seed)
         products = len({id(case.trace) for case in cases})
-        print(
-            f"| {name} | {products} | {count} | {decided} | {wrong} | {100 * wrong / count:.1f} |", flush=True
-        )
+        rows.append([name, *map(str, (products, count, decided, wrong)), f"{100 * wrong / count:.1f}"])
+    print(table(["options", "products", "cases", "decided", "wrong", "wrong, % of cases"], rows), end="")
 
 
 def measured(line: str, sets: Sequence[str]) -> Iterator[Case]:
@@ -126,9 +125,5 @@ def label_at(
 ) -> str:
     """Let a grade table of two classes decide about a product."""
     classes = [{"label": "heavy", "limits": {quantity: {"at_least": limit}}}, {"label": "light"}]
-    table = GradeTable(GradeTableOptions.model_validate({"classes": classes}))
-    return table.decide(product, volume, weight, None).label
-
-
-if __name__ == "__main__":
-    main()
+    grader = GradeTable(GradeTableOptions.model_validate({"classes": classes}))
+    return grader.decide(product, volume, weight, None).label

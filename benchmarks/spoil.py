@@ -17,9 +17,7 @@ that lengths rest on it alone; with the poses shared out over two boards the wro
 
 from __future__ import annotations
 
-import argparse
 import copy
-import json
 import re
 import tempfile
 import time
@@ -33,6 +31,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.command import keep, kept, parser_of
 from benchmarks.real_images import folder_of
 from benchmarks.tables import Table
 from roemetry.calibrating import calibrate_with_evidence
@@ -46,6 +45,7 @@ from roemetry_pinhole.boards import BoardNotFoundError, Marks
 from roemetry_pinhole.pinhole_plane import lines_at_height, points_of
 
 Image = NDArray[np.uint8]
+_LASER, _BOTH = ("board_laser",), ("board", "board_laser")
 
 _OFF_STDS, _OFF_SHARE = 3.0, 0.002  # heights that differ by less are those of the sound set
 _POSES_MIN = 3  # of a sound set, beside the first: `pinhole-plane` asks for four
@@ -69,12 +69,6 @@ class Shots:
         """Put a changed image in place of one."""
         self.images[shows][pose] = change(_pixels(self.images[shows][pose]))
 
-    def both(self, pose: str, change: Callable[[Image], Image]) -> None:
-        """Change a pose's two images alike."""
-        self.change("board", pose, change)
-        self.change("board_laser", pose, change)
-        self.named.append(pose)
-
 
 def _pixels(image: Path | Image) -> Image:
     if isinstance(image, Path):
@@ -85,12 +79,15 @@ def _pixels(image: Path | Image) -> Image:
     return image
 
 
+Spoil = Callable[[Shots, np.random.Generator], None]
+
+
 class Kind(NamedTuple):
     """A way to spoil, and the words by which its cause is named."""
 
     name: str
-    spoil: Callable[[Shots, np.random.Generator], None]
-    words: str
+    spoil: Spoil
+    words: str = ""
 
 
 _MOVED = (
@@ -99,7 +96,7 @@ _MOVED = (
 )
 
 
-def _swap(count: int) -> Callable[[Shots, np.random.Generator], None]:
+def _swap(count: int) -> Spoil:
     """Give each of `count` poses the laser image of the next; 0: all of them."""
 
     def spoil(shots: Shots, rng: np.random.Generator) -> None:
@@ -112,17 +109,24 @@ def _swap(count: int) -> Callable[[Shots, np.random.Generator], None]:
     return spoil
 
 
-def _mirror(count: int, shows: tuple[str, ...]) -> Callable[[Shots, np.random.Generator], None]:
+def _each(count: int, shows: tuple[str, ...], change: Callable[[Image], Image]) -> Spoil:
+    """Change images of `count` poses; 0: of all."""
+
     def spoil(shots: Shots, rng: np.random.Generator) -> None:
-        for pose in shots.poses(rng)[:count]:
+        poses = shots.poses(rng)
+        for pose in poses[: count or len(poses)]:
             for one in shows:
-                shots.change(one, pose, lambda image: np.ascontiguousarray(image[:, ::-1]))
+                shots.change(one, pose, change)
             shots.named.append(pose)
 
     return spoil
 
 
-def _pitch(factor: float) -> Callable[[Shots, np.random.Generator], None]:
+def _mirrored(image: Image) -> Image:
+    return np.ascontiguousarray(image[:, ::-1])
+
+
+def _pitch(factor: float) -> Spoil:
     """Describe the one board wrongly."""
 
     def spoil(shots: Shots, rng: np.random.Generator) -> None:
@@ -131,7 +135,7 @@ def _pitch(factor: float) -> Callable[[Shots, np.random.Generator], None]:
     return spoil
 
 
-def _second_pitch(factor: float) -> Callable[[Shots, np.random.Generator], None]:
+def _second_pitch(factor: float) -> Spoil:
     """Share the poses out over two boards, of which one is described wrongly."""
 
     def spoil(shots: Shots, rng: np.random.Generator) -> None:
@@ -152,7 +156,7 @@ def _grown(board: dict[str, Any], factor: float) -> None:
             board[key] = float(board[key]) * factor
 
 
-def _shift(count: int, px: float, shows: str) -> Callable[[Shots, np.random.Generator], None]:
+def _shift(count: int, px: float, shows: str) -> Spoil:
     """Move the board between a pose's two images; 0: in all poses."""
 
     def spoil(shots: Shots, rng: np.random.Generator) -> None:
@@ -166,20 +170,8 @@ def _shift(count: int, px: float, shows: str) -> Callable[[Shots, np.random.Gene
     return spoil
 
 
-def _zoom(count: int, factor: float, shows: tuple[str, ...]) -> Callable[[Shots, np.random.Generator], None]:
-    """Take images with another camera: of another focal length; 0: all."""
-
-    def spoil(shots: Shots, rng: np.random.Generator) -> None:
-        poses = shots.poses(rng)
-        for pose in poses[: count or len(poses)]:
-            for one in shows:
-                shots.change(one, pose, lambda image: _zoomed(image, factor))
-            shots.named.append(pose)
-
-    return spoil
-
-
 def _zoomed(image: Image, factor: float) -> Image:
+    """Take an image with another camera: of another focal length."""
     rows, columns = image.shape[:2]
     middle = 0.5 * np.array([columns - 1, rows - 1])
     move = np.column_stack([factor * np.eye(2), (1.0 - factor) * middle])
@@ -193,14 +185,12 @@ def _warped(image: Image, move: NDArray[np.float64]) -> Image:
     )
 
 
-def _stripes(more: int) -> Callable[[Shots, np.random.Generator], None]:
-    """State another number of stripes; 0: one."""
+def _stripes(more: int) -> Spoil:
+    """State another number of stripes; 0: one, or two of one."""
 
     def spoil(shots: Shots, rng: np.random.Generator) -> None:
         count = int(shots.rig["stripes"])
-        shots.rig["stripes"] = count + more if more > 0 or count + more > 0 else count + 1
-        if more == 0:
-            shots.rig["stripes"] = 1 if count > 1 else 2
+        shots.rig["stripes"] = (1 if count > 1 else 2) if more == 0 else count + more or count + 1
 
     return spoil
 
@@ -223,8 +213,6 @@ def _one_plane(shots: Shots, rng: np.random.Generator) -> None:
     shots.named = kept
 
 
-_LASER = ("board_laser",)
-_BOTH = ("board", "board_laser")
 _PITCH_ALONE = r"rest on the pitch of one board alone|its `pitch_mm` and `thickness_mm` right"
 _TWO_BOARDS = r"the second.*contradict each other|contradict each other.*the second"
 _STRIPES = r"stripes?\W.*(seen|expected|fits|boards)|planes of light are"
@@ -235,10 +223,10 @@ SPOILED = (
     Kind("three laser images exchanged", _swap(3), _MOVED),
     Kind("half of the laser images exchanged", _swap(5), _MOVED),
     Kind("each laser image that of another pose", _swap(0), _MOVED),
-    Kind("one pose mirrored", _mirror(1, _BOTH), rf"mirror|{_MOVED}"),
-    Kind("two poses mirrored", _mirror(2, _BOTH), rf"mirror|{_MOVED}"),
-    Kind("three laser images mirrored", _mirror(3, _LASER), rf"mirror|{_MOVED}"),
-    Kind("all laser images mirrored", _mirror(99, _LASER), rf"mirror|{_MOVED}"),
+    Kind("one pose mirrored", _each(1, _BOTH, _mirrored), rf"mirror|{_MOVED}"),
+    Kind("two poses mirrored", _each(2, _BOTH, _mirrored), rf"mirror|{_MOVED}"),
+    Kind("three laser images mirrored", _each(3, _LASER, _mirrored), rf"mirror|{_MOVED}"),
+    Kind("all laser images mirrored", _each(0, _LASER, _mirrored), rf"mirror|{_MOVED}"),
     Kind("pitch 1 % wrong, one board", _pitch(1.01), _PITCH_ALONE),
     Kind("pitch 2 % wrong, one board", _pitch(0.98), _PITCH_ALONE),
     Kind("pitch 10 % wrong, one board", _pitch(1.1), _PITCH_ALONE),
@@ -252,15 +240,15 @@ SPOILED = (
     Kind("stripes: 1, or 2 of 1", _stripes(0), _STRIPES),
     Kind("one stripe too many", _stripes(1), _STRIPES),
     Kind("one stripe too few", _stripes(-1), _STRIPES),
-    Kind("two poses by another camera", _zoom(2, 1.06, _BOTH), _CAMERA),
-    Kind("four poses by another camera", _zoom(4, 0.9, _BOTH), _CAMERA),
-    Kind("laser images by another camera", _zoom(0, 1.06, _LASER), _CAMERA),
-    Kind("three laser images by another camera", _zoom(3, 0.92, _LASER), _CAMERA),
+    Kind("two poses by another camera", _each(2, _BOTH, partial(_zoomed, factor=1.06)), _CAMERA),
+    Kind("four poses by another camera", _each(4, _BOTH, partial(_zoomed, factor=0.9)), _CAMERA),
+    Kind("laser images by another camera", _each(0, _LASER, partial(_zoomed, factor=1.06)), _CAMERA),
+    Kind("three laser images by another camera", _each(3, _LASER, partial(_zoomed, factor=0.92)), _CAMERA),
     Kind("five poses of one plane", _one_plane, r"variety|tilted|poses"),
 )
 
 
-def _without(count: int) -> Callable[[Shots, np.random.Generator], None]:
+def _without(count: int) -> Spoil:
     def change(shots: Shots, rng: np.random.Generator) -> None:
         poses = shots.poses(rng)
         for pose in poses[: min(count, max(len(poses) - _POSES_MIN, 0))]:
@@ -270,7 +258,7 @@ def _without(count: int) -> Callable[[Shots, np.random.Generator], None]:
     return change
 
 
-def _everywhere(change_of: Callable[[Image, np.random.Generator], Image]) -> Callable[[Shots, Any], None]:
+def _everywhere(change_of: Callable[[Image, np.random.Generator], Image]) -> Spoil:
     def change(shots: Shots, rng: np.random.Generator) -> None:
         for shows, images in shots.images.items():
             for pose in images:
@@ -292,19 +280,15 @@ def _darker(image: Image, rng: np.random.Generator) -> Image:
     return np.asarray(0.85 * image, np.uint8)
 
 
-def _as_it_is(shots: Shots, rng: np.random.Generator) -> None:
-    """Change nothing."""
-
-
 SOUND = (
-    Kind("as it is", _as_it_is, ""),
-    Kind("one pose fewer", _without(1), ""),
-    Kind("two poses fewer", _without(2), ""),
-    Kind("three poses fewer", _without(3), ""),
-    Kind("two boards, both right", _second_pitch(1.0), ""),
-    Kind("as JPEG", _everywhere(_as_jpeg), ""),
-    Kind("more noise", _everywhere(_noisier), ""),
-    Kind("darker", _everywhere(_darker), ""),
+    Kind("as it is", lambda shots, rng: None),
+    Kind("one pose fewer", _without(1)),
+    Kind("two poses fewer", _without(2)),
+    Kind("three poses fewer", _without(3)),
+    Kind("two boards, both right", _second_pitch(1.0)),
+    Kind("as JPEG", _everywhere(_as_jpeg)),
+    Kind("more noise", _everywhere(_noisier)),
+    Kind("darker", _everywhere(_darker)),
 )
 
 
@@ -318,9 +302,7 @@ class Outcome(NamedTuple):
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--rigs", type=Path, nargs="*", default=[], help="folders with a boards.yaml")
     parser.add_argument("--sets", nargs="*", default=[], help="only sets whose name holds a word")
     parser.add_argument("--kinds", nargs="*", default=[], help="only kinds whose name holds a word")
@@ -329,7 +311,7 @@ def main() -> None:
     given = parser.parse_args()
     cv2.setNumThreads(1)
     _remember()
-    done = _recorded(given.record)
+    done = {(one.pop("set"), one.pop("kind"), one.pop("seed")): Outcome(**one) for one in kept(given.record)}
     names = []
     for name, shots in _sets(given.rigs):
         if not _chosen(name, given.sets):
@@ -352,10 +334,7 @@ def main() -> None:
             kind.spoil(changed, np.random.default_rng([seed, number]))
             found = judged(kind, _calibrated(changed), sound[0], changed.named)
             done[name, kind.name, seed] = found
-            if given.record:
-                line = {"set": name, "kind": kind.name, "seed": seed, **found._asdict()}
-                with given.record.open("a", encoding="utf-8") as record:
-                    record.write(json.dumps(line) + "\n")
+            keep(given.record, {"set": name, "kind": kind.name, "seed": seed, **found._asdict()})
             print(
                 f"{name}: {kind.name}, {seed}: {found.word} ({time.perf_counter() - begin:.0f} s), "
                 f"{found.off_mm:.3f} mm: {found.why[:400]}",
@@ -364,13 +343,6 @@ def main() -> None:
     done = {of: found for of, found in done.items() if of[0] in names and of[2] in given.seeds}
     for kinds in (SPOILED, SOUND):
         print(_table([kind for kind in kinds if _chosen(kind.name, given.kinds)], done))
-
-
-def _recorded(path: Path | None) -> dict[tuple[str, str, int], Outcome]:
-    """Give what a file of cases holds, by set, kind and seed."""
-    lines = path.read_text(encoding="utf-8").splitlines() if path and path.exists() else []
-    cases = [json.loads(line) for line in lines]
-    return {(one.pop("set"), one.pop("kind"), one.pop("seed")): Outcome(**one) for one in cases}
 
 
 def _chosen(name: str, words: list[str]) -> bool:
@@ -557,7 +529,3 @@ def _remember() -> None:
         return found
 
     marks_in_boards.find_marks = find_marks
-
-
-if __name__ == "__main__":
-    main()

@@ -20,20 +20,18 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks import sharing
-from benchmarks.volume_scenes import HERRING_ROE, exact, rig_of, view_of
+from benchmarks.command import add_sharing, parser_of, shared
+from benchmarks.tables import table
+from benchmarks.volume_scenes import HERRING_ROE, exact, profiles_of, rig_of, sphere_plate, view_of
 from benchmarks.weight import disturbed
-from roemetry.config.target_file import read_sphere_plate, read_target
 from roemetry.errors import RoemetryError
-from roemetry.io.files import shipped
-from roemetry.records import NOTHING, Profiles
+from roemetry.records import Profiles
 from roemetry.records.observations import Block as BlockTarget
 from roemetry.records.view import View
-from roemetry.targets.solids import solid_triangles
 from roemetry_simulate.population import in_reach
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Pose
-from roemetry_simulate.products.mesh import Triangles, close, lay
+from roemetry_simulate.products.mesh import lay
 from roemetry_simulate.render import Rig
 from roemetry_simulate.solid import Block, Solid
 from roemetry_simulate.truth import stripe_centres
@@ -56,13 +54,13 @@ _STEP_PX = 2.0
 
 def main() -> None:
     """Print what is asked for."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parts = {"intervals": intervals, "acceptance": acceptance, "example": example}
     parser.add_argument("--part", nargs="+", choices=parts, default=["intervals", "acceptance"])
     parser.add_argument("--first", type=int, default=410000, help="seed of the first rig")
     parser.add_argument("--count", type=int, default=100, help="rigs")
     parser.add_argument("--studies", type=int, default=1000, help="simulated for each design")
-    sharing.add_options(parser)
+    add_sharing(parser)
     given = parser.parse_args()
     for part in given.part:
         parts[part](given)
@@ -71,32 +69,28 @@ def main() -> None:
 def intervals(given: argparse.Namespace) -> None:
     """Print how many 95 % intervals hold the truth, by design of study and component."""
     names = ("repeatability", "operator", "interaction", "gauge", "part", "gauge_percent")
-    print(
-        f"\n| parts × operators × trials | cells missing | {' | '.join(names)} |"
-        f"\n|---|---|{'---|' * len(names)}"
-    )
+    rows = []
     for size, gaps in (((10, 3, 3), 0.0), ((10, 3, 3), 0.1), ((8, 4, 2), 0.0), ((20, 3, 2), 0.1)):
         std = {"part": 5.0, "repeatability": 1.0, "operator": 1.0, "interaction": 0.7}
         true = {**std, "gauge": math.sqrt(1.0 + 1.0 + 0.49)}
         true["gauge_percent"] = 100.0 * true["gauge"] / math.hypot(true["gauge"], 5.0)
         held = Counter[str]()
-        for found in sharing.shared(given, partial, (_held, size, gaps, true), range(given.studies)):
+        for found in shared(given, partial, (_held, size, gaps, true), range(given.studies)):
             held.update(found)
-        shown = " | ".join(f"{held[name] / given.studies:.1%}" for name in names)
-        print(f"| {' × '.join(map(str, size))} | {gaps:.0%} | {shown} |", flush=True)
-    print("\n| study of agreement | missed | false alarms | kappa |\n|---|---|---|---|")
+        shown = [f"{held[name] / given.studies:.1%}" for name in names]
+        rows.append([" × ".join(map(str, size)), f"{gaps:.0%}", *shown])
+    print(f"\n{table(['parts × operators × trials', 'cells missing', *names], rows)}")
+    rows = []
     for parts, trials, hard in ((50, 3, 0.4), (50, 2, 0.1), (100, 2, 0.4)):
-        counts = Counter[str]()
+        held = Counter[str]()
         for seed in range(given.studies):
-            one, true_rate = agreed(np.random.default_rng([seed, parts, trials, 74]), parts, trials, hard)
-            for name, figure, value in (
-                ("missed", one.missed, true_rate),
-                ("false", one.false_alarm, true_rate),
-                ("kappa", one.kappa, 1.0 - 2.0 * true_rate),
-            ):
-                counts[name] += figure.low <= value <= figure.high
-        shown = " | ".join(f"{counts[name] / given.studies:.1%}" for name in ("missed", "false", "kappa"))
-        print(f"| {parts} parts × {trials}, hard parts wrong {hard:.0%} | {shown} |", flush=True)
+            one, rate = agreed(np.random.default_rng([seed, parts, trials, 74]), parts, trials, hard)
+            held["missed"] += one.missed.low <= rate <= one.missed.high
+            held["false alarms"] += one.false_alarm.low <= rate <= one.false_alarm.high
+            held["kappa"] += one.kappa.low <= 1.0 - 2.0 * rate <= one.kappa.high
+        shown = [f"{held[name] / given.studies:.1%}" for name in ("missed", "false alarms", "kappa")]
+        rows.append([f"{parts} parts × {trials}, hard parts wrong {hard:.0%}", *shown])
+    print(table(["study of agreement", "missed", "false alarms", "kappa"], rows), end="")
 
 
 def _held(size: tuple[int, int, int], gaps: float, true: dict[str, float], seed: int) -> list[str]:
@@ -154,18 +148,17 @@ def acceptance(given: argparse.Namespace) -> None:
     found = {fault: Counter[str]() for fault in FAULTS}
     causes = {fault: Counter[str]() for fault in FAULTS}
     seeds = range(given.first, given.first + given.count)
-    for rig in sharing.shared(given, partial, (_decided,), seeds):
+    for rig in shared(given, partial, (_decided,), seeds):
         for fault, (decision, rejected_by) in rig.items():
             found[fault][decision] += 1
             causes[fault].update(rejected_by)
-    print(
-        "\n| fault | accepted | rejected | undecided | not measured | rejected by |"
-        "\n|---|---|---|---|---|---|"
-    )
+    rows = []
     for fault in FAULTS:
         told = [found[fault][name] for name in ("accepted", "rejected", "undecided")]
         by = ", ".join(f"{name} {n}" for name, n in causes[fault].most_common())
-        print(f"| {fault} | {' | '.join(map(str, told))} | {given.count - sum(told)} | {by or '–'} |")
+        rows.append([fault, *map(str, told), f"{given.count - sum(told)}", by or "–"])
+    head = ["fault", "accepted", "rejected", "undecided", "not measured", "rejected by"]
+    print(f"\n{table(head, rows)}", end="")
 
 
 def _decided(seed: int) -> dict[str, tuple[str, list[str]]]:
@@ -192,12 +185,7 @@ def _decided(seed: int) -> dict[str, tuple[str, list[str]]]:
 def traced(rig: Rig, seed: int) -> list[tuple[Artefact, Profiles]]:
     """Trace both artefacts in their positions, with noise; heights are not yet known."""
     rng = np.random.default_rng([seed, 71])
-    described = read_target(shipped("calib_targets", "sphere-plate-3x2-30.yaml"))
-    plate = read_sphere_plate(described, shipped("calib_targets", "sphere-plate-3x2-30.yaml").parent)  # type: ignore[arg-type]
-    assert plate is not None
-    corners = solid_triangles(described).reshape(-1, 3).round(9)
-    points, number = np.unique(corners, axis=0, return_inverse=True)
-    mesh = close(Triangles(points, number.reshape(-1, 3)))
+    plate, mesh = sphere_plate()
     made = []
     for _ in range(10):
         pose = Pose(*rng.uniform(-4.0, 4.0, 2), float(rng.uniform(-8.0, 8.0)))
@@ -212,20 +200,8 @@ def traced(rig: Rig, seed: int) -> list[tuple[Artefact, Profiles]]:
 def noisy(rig: Rig, solid: Solid, rng: np.random.Generator) -> Profiles:
     """Give the stripes' points with noise along their rows, not yet lifted."""
     truth = stripe_centres(rig.camera, rig.laser, solid, step_px=_STEP_PX)
-    seen = np.isfinite(truth.x_px)
-    x_px = truth.x_px + NOISE_PX * rng.standard_normal(seen.shape)
-    stripes, rows = seen.shape
-    return Profiles(
-        xyz_mm=np.full((stripes, rows, 3), np.nan),
-        product=np.where(seen, (truth.on_product == 1).astype(np.int64), NOTHING),
-        seen=seen,
-        x_px=np.where(seen, x_px, np.nan),
-        row_px=np.where(seen, np.arange(rows, dtype=np.float64), np.nan),
-        height_std_mm=np.full(seen.shape, np.nan),
-        stripe=np.arange(stripes),
-        frame=np.zeros(stripes, np.int64),
-        plane=view_of(rig).planes,
-    )
+    x_px = truth.x_px + NOISE_PX * rng.standard_normal(truth.x_px.shape)
+    return profiles_of(x_px, truth.on_product == 1, np.full((*x_px.shape, 3), np.nan), view_of(rig))
 
 
 def lifted(points: Profiles, view: View) -> Profiles:
@@ -255,7 +231,3 @@ def faulty(view: View, fault: str) -> View:
         case "lens: k1 0.1 off":
             return replace(view, distortion=np.array([0.1, 0.0, 0.0, 0.0]))
     return view
-
-
-if __name__ == "__main__":
-    main()

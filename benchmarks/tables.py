@@ -11,11 +11,15 @@ import platform
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from roemetry.records import Estimate
+from roemetry.records.arrays import Floats
 from roemetry_study.certificate import software_sha256
 from roemetry_tools.compare.agreement import Interval
 
@@ -59,6 +63,38 @@ def share(part: int, whole: int) -> str:
 def ends(interval: Interval, digits: int = 3) -> str:
     """Write an interval."""
     return f"{interval.low:.{digits}f} to {interval.high:.{digits}f}"
+
+
+@dataclass
+class Against:
+    """Estimates beside what is true of them: (estimate,) values, ends of 95 % intervals, truths."""
+
+    rows: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+    def add(self, found: Estimate, true: float) -> None:
+        """Add an estimate."""
+        self.rows.append((found.value, *found.interval, true))
+
+    @property
+    def off(self) -> Floats:
+        """Relative errors."""
+        value, _, _, true = np.array(self.rows).reshape(-1, 4).T
+        return np.asarray(value / true - 1.0)
+
+    @property
+    def held(self) -> int:
+        """How many intervals hold the truth."""
+        return sum(low <= true <= high for _, low, high, true in self.rows)
+
+    @property
+    def width(self) -> float:
+        """Median width of the intervals over the truth."""
+        return float(np.median([(high - low) / true for _, low, high, true in self.rows]))
+
+    @property
+    def half(self) -> float:
+        """Median half width of the intervals over the estimate."""
+        return float(np.median([(high - low) / 2.0 / value for value, low, high, _ in self.rows]))
 
 
 def confusion(

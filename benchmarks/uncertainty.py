@@ -12,8 +12,6 @@ what was drawn of a skein is written when it is done, and is not drawn again: on
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import time
 from collections.abc import Iterator
@@ -23,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import sharing
+from benchmarks.command import add_sharing, keep, kept, parser_of, shared
 from benchmarks.volume_scenes import HERRING_ROE, exact, rig_of
 from roemetry import Recipe
 from roemetry.errors import RoemetryError
@@ -41,24 +39,22 @@ _CAUSES = ("peak noise", "calibration", "outline")
 
 def main() -> None:
     """Print the ratios of standard uncertainties, and what both take."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--seed", type=int, default=510000)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--draws", type=int, default=2000)
     parser.add_argument("--keep", type=Path, help="file that a run goes on from")
-    sharing.add_options(parser)
+    add_sharing(parser)
     given = parser.parse_args()
-    kept = given.keep.read_text().splitlines() if given.keep and given.keep.exists() else []
-    drawn = {row["seed"]: row for row in map(json.loads, kept) if row["draws"] == given.draws}
+    drawn = {row["seed"]: row for row in kept(given.keep) if row["draws"] == given.draws}
     rows = []
     seeds = range(given.seed, given.seed + given.count)
-    for spreads, compared in sharing.shared(given, partial, (_of_seed, given.draws, dict(drawn)), seeds):
+    for spreads, compared in shared(given, partial, (_of_seed, given.draws, dict(drawn)), seeds):
         if spreads is None:
             continue
         seed = spreads["seed"]
-        if seed not in drawn and given.keep:
-            with given.keep.open("a") as file:
-                file.write(json.dumps(spreads) + "\n")
+        if seed not in drawn:
+            keep(given.keep, spreads)
         drawn[seed] = spreads
         for row in compared:
             rows.append(row)
@@ -117,9 +113,8 @@ def _compared(trace: ProductTrace, scene: Scene, chain: Chain, drawn: dict[str, 
     row = {"ms": 1e3 * (time.process_time() - begin)}
     assert linear.volume is not None
     assert linear.weight is not None
-    for (name, field), found in zip(
-        _FIELDS.items(), (linear.volume.visible_mm3, linear.weight.mass_g), strict=True
-    ):
+    both = linear.volume.visible_mm3, linear.weight.mass_g
+    for (name, field), found in zip(_FIELDS.items(), both, strict=True):
         models = [part for cause, part in found.budget.items() if cause not in _CAUSES]
         row[name] = found.std / math.hypot(drawn[field], *models)
         row.setdefault("share", drawn[field] / math.hypot(drawn[field], *models))
@@ -139,17 +134,12 @@ def _traces(recipe: Recipe, chain: Chain, seed: int) -> Iterator[tuple[ProductTr
     x_px[stripe, row] = points.x_px[stripe, point] + _NOISE_PX * rng.standard_normal(row.size)
     product[stripe, row] = 1
     seen = np.isfinite(x_px)
+    unknown = np.full(shape, np.nan)
     stripes = StripeMap(
-        x_px=x_px,
-        x_std_px=np.where(seen, _NOISE_PX, np.nan),
-        product=product,
-        seen=seen,
-        margin=np.where(seen, 1.0, np.nan),
-        ambiguous=np.zeros(shape, np.bool_),
-        rest_px=np.full(shape, np.nan),
-        peak_stripe=np.empty(0, np.int16),
-        correlation_rows=_CORRELATED_ROWS,
-    )
+        x_px=x_px, x_std_px=np.where(seen, _NOISE_PX, np.nan), product=product, seen=seen,
+        margin=np.where(seen, 1.0, np.nan), ambiguous=np.zeros(shape, np.bool_), rest_px=unknown,
+        peak_stripe=np.empty(0, np.int16), correlation_rows=_CORRELATED_ROWS,
+    )  # fmt: skip
     assert made.outline is not None
     outlines = (Outline(1, made.outline.xy_px, _OUTLINE_STD_PX),)
     scene = Scene(str(seed), stripes, outlines, calibration)
@@ -170,7 +160,3 @@ def _drawn(trace: ProductTrace, scene: Scene, chain: Chain, draws: int, seed: in
     sampler = Sampler(scene, chain, rng)
     for by_number in sampler.scenes(draws, sampler.causes):
         yield rerun(chain, trace, by_number.get(trace.product.number), rng, model=False)
-
-
-if __name__ == "__main__":
-    main()

@@ -10,22 +10,30 @@ on. With ``--images`` skeins are rendered, too (10 s each and more, kept in the 
 
 from __future__ import annotations
 
-import argparse
 import math
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks import sharing
-from benchmarks.mesh_scenes import exact_body
+from benchmarks.command import add_sharing, parser_of, shared
 from benchmarks.tables import put_into, table
-from benchmarks.volume_scenes import Exact, exact, exact_skein, images, measured, rig_of, thinned
+from benchmarks.volume_scenes import (
+    Exact,
+    exact,
+    exact_body,
+    exact_skein,
+    images,
+    measured,
+    rig_of,
+    thinned,
+)
 from roemetry.errors import RoemetryError
+from roemetry.records.arrays import Floats
 from roemetry.stages import VolumeEstimator
 from roemetry_open3d.mesh_files import SurfaceMesh
 from roemetry_paper.zero_order_hold import ZeroOrderHold
@@ -62,22 +70,18 @@ K = 1.96
 
 _LYING = {"offset_range_x_mm": 5.0, "offset_range_y_mm": 8.0, "turn_range_deg": 15.0}
 _OFF_CENTRE = {"offset_range_x_mm": 5.0, "offset_range_y_mm": 22.0, "turn_range_deg": 10.0}
+_BOX = {"length_mm": 50.0, "width_mm": 25.0, **_OFF_CENTRE}
+_STEPS = {"steps": 4, "tread_mm": 16.0, "width_mm": 36.0}
 _HALF_ELLIPSOID = "half-ellipsoid"
 BODIES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "half-ellipsoid 80 × 28 × 14 mm": (_HALF_ELLIPSOID, {"size_mm": (80.0, 28.0, 14.0), **_LYING}),
     "half-ellipsoid 64 × 40 × 18 mm": (_HALF_ELLIPSOID, {"size_mm": (64.0, 40.0, 18.0), **_LYING}),
     "half-ellipsoid 50 × 50 × 20 mm": (_HALF_ELLIPSOID, {"size_mm": (50.0, 50.0, 20.0), **_LYING}),
-    "box, 16.5 mm high, off centre": (
-        "block",
-        {"length_mm": 50.0, "width_mm": 25.0, "height_mm": 16.5, **_OFF_CENTRE},
-    ),
+    "box, 16.5 mm high, off centre": ("block", {"height_mm": 16.5, **_BOX}),
     "half cylinder": ("cylinder", {"length_mm": 70.0, "radius_mm": 13.0, **_LYING}),
     "whole cylinder": ("cylinder", {"length_mm": 70.0, "radius_mm": 8.0, "half": False, **_LYING}),
     "wedge": ("wedge", {"length_mm": 70.0, "width_mm": 30.0, "high_height_mm": 16.0, **_LYING}),
-    "staircase, four steps of 4 mm": (
-        "staircase",
-        {"steps": 4, "tread_mm": 16.0, "width_mm": 36.0, **_LYING},
-    ),
+    "staircase, four steps of 4 mm": ("staircase", {**_STEPS, **_LYING}),
     "truncated pyramid": ("truncated-pyramid", {**_LYING}),
     "spherical cap": ("sphere", {"radius_mm": 40.0, "height_mm": 14.0, **_LYING}),
     "ball": ("sphere", {"radius_mm": 14.0, **_LYING}),
@@ -103,7 +107,7 @@ class Row(NamedTuple):
 
 def main() -> None:
     """Measure, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--first", type=int, default=80000, help="first seed of skein and rig")
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--meshes", type=int, default=10, help="skeins to lay meshes through, the first ones")
@@ -115,25 +119,22 @@ def main() -> None:
     parser.add_argument("--each", type=int, default=40, help="bodies of each of the other maker's families")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "roemetry-volume")
     parser.add_argument("--page", type=Path, default=Path("docs/measurements/volume.md"))
-    sharing.add_options(parser)
+    add_sharing(parser)
     given = parser.parse_args()
-    rows: list[Row] = []
-    shares: list[tuple[float, float, float]] = []
-    skeins = range(given.first, given.first + given.count)
-    for of_skein, share in sharing.shared(given, partial, (_of_skein, given.first + given.meshes), skeins):
-        rows += of_skein
-        shares.append(share)
-    pictured = range(given.images_from, given.images_from + given.images)
-    rendered = sharing.shared(given, partial, (from_images, given.cache), pictured)
-    pictures = [row for some in rendered for row in some]
-    rigs, others = (
-        range(given.bodies, given.bodies + given.rigs),
-        range(given.others, given.others + given.each),
-    )
-    bodies = [(name, seed) for name in BODIES for seed in rigs]
-    known = [row for some in sharing.shared(given, partial, (_of_body,), bodies) for row in some]
-    theirs = [(family, seed) for family in OTHERS for seed in others]
-    foreign = [row for some in sharing.shared(given, partial, (_of_other,), theirs) for row in some]
+
+    def each(make: Callable[..., Any], fixed: tuple[Any, ...], tasks: Sequence[Any]) -> list[Any]:
+        return list(shared(given, partial, (make, *fixed), tasks))
+
+    def seeds(first: int, count: int) -> range:
+        return range(first, first + count)
+
+    skeins = each(_of_skein, (given.first + given.meshes,), seeds(given.first, given.count))
+    rows, shares = [row for some, _ in skeins for row in some], [share for _, share in skeins]
+    pictures = sum(each(from_images, (given.cache,), seeds(given.images_from, given.images)), list[Row]())
+    bodies = [(name, seed) for name in BODIES for seed in seeds(given.bodies, given.rigs)]
+    known = sum(each(_of_body, (), bodies), list[Row]())
+    theirs = [(family, seed) for family in OTHERS for seed in seeds(given.others, given.each)]
+    foreign = sum(each(_of_other, (), theirs), list[Row]())
     stated = [name for name in ESTIMATORS if name not in ("zero-order-hold", "slice-pchip, ends: none")]
     parts = {
         "eleven stripes": judged([row for row in rows if row.of in ("11", "meshes")]),
@@ -229,6 +230,11 @@ def half_ellipsoid(length_mm: float, width_mm: float, height_mm: float, pose: Po
     return PartsSolid(surfaces, volume, volume, math.pi * a * b, extent, c)
 
 
+def _arrays(rows: Sequence[Row]) -> tuple[Floats, Floats]:
+    """Give errors and standard uncertainties, %."""
+    return np.array([100.0 * row.error for row in rows]), np.array([100.0 * row.std for row in rows])
+
+
 def judged(rows: Sequence[Row]) -> str:
     """Give a line for each estimator."""
     lines = []
@@ -236,11 +242,10 @@ def judged(rows: Sequence[Row]) -> str:
         mine = [row for row in rows if row.estimator == name and math.isfinite(row.error)]
         refused = sum(row.estimator == name for row in rows) - len(mine)
         label = f"`{name}`" + (f" ({refused} refused)" if refused else "")
-        if not mine:
-            continue
-        error, std = (100.0 * np.array([getattr(row, what) for row in mine]) for what in ("error", "std"))
-        lines.append((label, *_figures(error), *_intervals(error, std), f"{_median_ms(mine):.2f}"))
-    return table((*_HEAD[:-1], "ms"), lines)
+        if mine:
+            ms = float(np.median([row.milliseconds for row in mine]))
+            lines.append((label, *_figures(*_arrays(mine)), f"{ms:.2f}"))
+    return table((*_HEAD, "ms"), lines)
 
 
 def briefs(rows: Sequence[Row], of: Sequence[str], estimators: Sequence[str], what: str) -> str:
@@ -251,16 +256,15 @@ def briefs(rows: Sequence[Row], of: Sequence[str], estimators: Sequence[str], wh
 
 def brief(rows: Sequence[Row], of: str, estimator: str) -> str:
     """Mean absolute error, 95 % point, share of intervals that hold; a dash where most were refused."""
-    mine = [row for row in rows if row.of == of and row.estimator == estimator]
-    error, std = (100.0 * np.array([getattr(row, what) for row in mine]) for what in ("error", "std"))
+    error, std = _arrays([row for row in rows if row.of == of and row.estimator == estimator])
     fine = np.isfinite(error)
-    if fine.sum() < 0.5 * max(len(mine), 1):
+    if fine.sum() < 0.5 * max(error.size, 1):
         return "–"
-    held = 100.0 * np.mean(np.abs(error[fine]) < K * std[fine])
-    return f"{np.abs(error[fine]).mean():.2f} / {np.percentile(np.abs(error[fine]), 95):.2f} / {held:.0f}"
+    off = np.abs(error[fine])
+    return f"{off.mean():.2f} / {np.percentile(off, 95):.2f} / {100.0 * np.mean(off < K * std[fine]):.0f}"
 
 
-def underside(shares: np.ndarray) -> str:
+def underside(shares: Floats) -> str:
     """Fit the share of the true volume on every other skein, and judge it on the rest."""
     visible, model_std, true = shares[np.isfinite(shares).all(axis=1)].T
     if visible.size < 6:
@@ -269,34 +273,19 @@ def underside(shares: np.ndarray) -> str:
     share, scatter = fitted_share(visible[even], true[even])
     value = share * visible[~even]
     std = np.hypot(share * model_std[~even], scatter * visible[~even])
-    error = 100.0 * (value / true[~even] - 1.0)
-    line = ("rounded, fitted share", *_figures(error), *_intervals(error, 100.0 * std / true[~even]))
-    return f"Share {share:.3f} ± {scatter:.3f}.\n\n" + table(_HEAD[:-1], [line])
+    figures = _figures(100.0 * (value / true[~even] - 1.0), 100.0 * std / true[~even])
+    return f"Share {share:.3f} ± {scatter:.3f}.\n\n" + table(_HEAD, [("rounded, fitted share", *figures)])
 
 
-_HEAD = ("estimator", "mean", "mean absolute", "95 % point", "largest", "intervals hold", "median width", "")
+_HEAD = ("estimator", "mean", "mean absolute", "95 % point", "largest", "intervals hold", "median width")
 _OF_BODIES = {name: ESTIMATORS[name] for name in ("outline-surface", "slice-pchip")}
 
 
-def _median_ms(rows: Sequence[Row]) -> float:
-    return float(np.median([row.milliseconds for row in rows]))
-
-
-def _figures(error: np.ndarray) -> tuple[str, ...]:
+def _figures(error: Floats, std: Floats) -> list[str]:
+    """Write the cells of `_HEAD` but the first."""
     off = np.abs(error)
-    return (
-        f"{error.mean():+.2f} %",
-        f"{off.mean():.2f} %",
-        f"{np.percentile(off, 95):.2f} %",
-        f"{off.max():.1f} %",
-    )
-
-
-def _intervals(error: np.ndarray, std: np.ndarray) -> tuple[str, str]:
+    cells = [f"{error.mean():+.2f} %", f"{off.mean():.2f} %", f"{np.percentile(off, 95):.2f} %"]
+    cells.append(f"{off.max():.1f} %")
     if not np.isfinite(std).any():
-        return "not stated", "not stated"
-    return f"{100.0 * np.mean(np.abs(error) < K * std):.1f} %", f"{np.median(2.0 * K * std):.2f} %"
-
-
-if __name__ == "__main__":
-    main()
+        return [*cells, "not stated", "not stated"]
+    return [*cells, f"{100.0 * np.mean(off < K * std):.1f} %", f"{np.median(2.0 * K * std):.2f} %"]

@@ -19,8 +19,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import t as student_t
 
-from benchmarks.tables import kept_rows
+from benchmarks.command import parser_of
+from benchmarks.tables import kept_rows, table
 from benchmarks.volume_scenes import Exact, calibration_of, exact, rig_of
 from roemetry.errors import RoemetryError
 from roemetry.records import Outline, Samples
@@ -53,7 +55,7 @@ class Weighed(NamedTuple):
 
 def main() -> None:
     """Print a table for each family."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("--first", type=int, default=60000, help="seed of the first product and rig")
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--draws", type=int, default=200, help="how often samples are drawn")
@@ -69,13 +71,12 @@ def report(title: str, products: Sequence[Weighed], given: argparse.Namespace) -
     """Print the table of one population."""
     print(f"\n{title}: {len(products)} products measured, seeds from {given.first}")
     print(f"{given.draws} draws of {given.samples} samples; means over draws, per cent\n")
-    print("| form | error | 95 % of errors within | interval holds | width | over paper × factor |")
-    print("|---|---|---|---|---|---|")
-    for form in ("auto", *FORMS):
-        print(f"| `{form}` | {line_of(products, form, given.samples, given.draws)} |")
+    head = ["form", "error", "95 % of errors within", "interval holds", "width", "over paper × factor"]
+    rows = [[f"`{form}`", *cells_of(products, form, given.samples, given.draws)] for form in ("auto", *FORMS)]
+    print(table(head, rows), end="")
 
 
-def line_of(products: Sequence[Weighed], form: str, samples: int, draws: int) -> str:
+def cells_of(products: Sequence[Weighed], form: str, samples: int, draws: int) -> list[str]:
     """Judge a form; "–" where it cannot be fitted."""
     rng = np.random.default_rng(len(products))
     figures = []
@@ -84,31 +85,24 @@ def line_of(products: Sequence[Weighed], form: str, samples: int, draws: int) ->
         try:
             figures.append(judged(products, order[:samples], order[samples:], form))
         except RoemetryError:
-            return "– | – | – | – | –"
-    error, tail, held, width, paper = np.array(figures).T
-    return (
-        f"{100 * error.mean():.2f} | {100 * tail.mean():.2f} | {100 * held.mean():.1f} | "
-        f"{100 * width.mean():.1f} | {(error.mean() / paper.mean()):.2f} |"
-    ).removesuffix(" |")
+            return ["–"] * 5
+    error, tail, held, width, paper = np.mean(figures, axis=0)
+    cells = [f"{100 * error:.2f}", f"{100 * tail:.2f}", f"{100 * held:.1f}", f"{100 * width:.1f}"]
+    return [*cells, f"{error / paper:.2f}"]
 
 
 def judged(products: Sequence[Weighed], known: Any, asked: Any, form: str) -> tuple[float, ...]:
     """Fit to the known, weigh the asked: mean error, 95 % point, coverage, median width; paper's error."""
     model = fitted(products, known, form)
-    errors, held, width, paper = [], [], [], []
     factor = np.mean([products[k].mass_g / products[k].paper_cm3 for k in known])
-    for one in (products[k] for k in asked):
-        low, value, high = interval_of(model, one.features)
-        errors.append(abs(value / one.mass_g - 1.0))
-        held.append(low <= one.mass_g <= high)
-        width.append((high - low) / value)
-        paper.append(abs(factor * one.paper_cm3 / one.mass_g - 1.0))
-    return (
-        float(np.mean(errors)),
-        float(np.quantile(errors, 0.95)),
-        float(np.mean(held)),
-        float(np.median(width)),
-        float(np.mean(paper)),
+    low, value, high, mass, paper = np.array(
+        [(*interval_of(model, one.features), one.mass_g, factor * one.paper_cm3)
+         for one in (products[k] for k in asked)]
+    ).T  # fmt: skip
+    off = np.abs(value / mass - 1.0)
+    held, width = np.mean((low <= mass) & (mass <= high)), np.median((high - low) / value)
+    return tuple(
+        map(float, (off.mean(), np.quantile(off, 0.95), held, width, np.abs(paper / mass - 1).mean()))
     )
 
 
@@ -117,14 +111,9 @@ def fitted(products: Sequence[Weighed], known: Any, form: str) -> WeightModel:
     chosen = [products[k] for k in known]
     names = tuple(dict.fromkeys(name for one in chosen for name in one.features))
     ids = tuple(str(one.seed) for one in chosen)
-    samples = Samples(
-        ids=ids,
-        groups=ids,
-        features=names,
-        values=np.array([[one.features.get(name, np.nan) for name in names] for one in chosen]),
-        mass_g=np.array([one.mass_g for one in chosen]),
-        mass_std_g=np.full(len(chosen), np.nan),
-    )
+    values = np.array([[one.features.get(name, np.nan) for name in names] for one in chosen])
+    mass_g, unknown = np.array([one.mass_g for one in chosen]), np.full(len(chosen), np.nan)
+    samples = Samples(ids=ids, groups=ids, features=names, values=values, mass_g=mass_g, mass_std_g=unknown)
     content = FittedWeight.fit(samples, form=form).content
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "weight.json"
@@ -142,9 +131,7 @@ def interval_of(model: WeightModel, features: dict[str, float]) -> tuple[float, 
 
 @lru_cache(maxsize=4096)
 def _factor(degrees_of_freedom: float) -> float:
-    from scipy.stats import t
-
-    return float(t.ppf(0.975, degrees_of_freedom))
+    return float(student_t.ppf(0.975, degrees_of_freedom))
 
 
 def measured(family: str, first: int, count: int, cache: Path) -> list[Weighed]:
@@ -168,13 +155,8 @@ def measure(family: str, seed: int) -> dict[str, Any]:
     # `weigh` without a model gives the features, as a run does.
     features = FittedWeight(FittedWeightOptions()).weigh(product, volume).features
     assert features == weight_features(product, volume)
-    return Weighed(
-        seed=seed,
-        defect=drawn.truth.defect,
-        mass_g=drawn.truth.mass_g,
-        paper_cm3=paper / 1000.0,
-        features=dict(features),
-    )._asdict()
+    truth = drawn.truth
+    return Weighed(seed, truth.defect, truth.mass_g, paper / 1000.0, dict(features))._asdict()
 
 
 def disturbed(one: Exact, seed: int) -> Exact:
@@ -193,7 +175,3 @@ def disturbed(one: Exact, seed: int) -> Exact:
     away = (ring - middle) / np.hypot(*(ring - middle).T)[:, None]
     contour = Outline(1, ring + OUTLINE_NOISE_PX * float(rng.standard_normal()) * away, OUTLINE_NOISE_PX)
     return replace(one, product=replace(product, profiles=moved, outline=contour))
-
-
-if __name__ == "__main__":
-    main()

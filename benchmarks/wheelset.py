@@ -9,7 +9,6 @@ The image is not part of the project: the environment variable ROEMETRY_REAL_DAT
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.command import parser_of
 from benchmarks.real_images import folder_of
+from benchmarks.tables import table
 from roemetry.records import Frame, Peaks, StripeMap
 from roemetry_coding.pieces import Pieces
 from roemetry_kernels.tracing import trace_fragments
@@ -56,7 +57,7 @@ class Verdict(NamedTuple):
 
 def main() -> None:
     """Print what is numbered, right and wrong."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--picture", type=Path, help="draw the numbers into this file")
     given = parser.parse_args()
     folder = folder_of("multi_stripe")
@@ -101,7 +102,7 @@ def tell(verdict: Verdict) -> None:
     """Print the table."""
     rows = np.array([at.size for at in verdict.pieces])
     given, hand = verdict.given, verdict.by_hand
-    print("| | pieces | centres |\n|---|---|---|")
+    lines = []
     for words, which in (
         ("all pieces of ten rows or more", rows > 0),
         ("numbered by hand", hand > 0),
@@ -111,7 +112,8 @@ def tell(verdict: Verdict) -> None:
         ("not numbered, but by hand", (given == 0) & (hand > 0)),
         ("not numbered, nor by hand", (given == 0) & (hand == 0)),
     ):
-        print(f"| {words} | {which.sum()} | {rows[which].sum()} |")
+        lines.append([words, f"{which.sum()}", f"{rows[which].sum()}"])
+    print(table(["", "pieces", "centres"], lines), end="")
 
 
 def draw(path: Path, turned: NDArray[np.uint8], peaks: Peaks, stripes: StripeMap, verdict: Verdict) -> None:
@@ -131,7 +133,3 @@ def _colour(number: int) -> tuple[int, ...]:
         return (150, 150, 150)
     hue = np.array([[[(number * 67) % 180, 200, 255]]], np.uint8)
     return tuple(int(v) for v in cv2.cvtColor(hue, cv2.COLOR_HSV2BGR)[0, 0])
-
-
-if __name__ == "__main__":
-    main()

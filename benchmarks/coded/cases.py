@@ -8,11 +8,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.coded.crossings import Crossings, crossings_of
-from benchmarks.coded.damage import Damage
-from benchmarks.coded.products import grown, side_by_side, skein
-from benchmarks.coded.rigs import CodingRig, dense_rig, easy_rig
-from benchmarks.coded.samples import Sample, sample_from
+from benchmarks.coded.samples import Damage, Sample, sample_from
+from benchmarks.coded.scenes import (
+    CodingRig,
+    Crossings,
+    crossings_of,
+    dense_rig,
+    easy_rig,
+    grown,
+    side_by_side,
+    skein,
+)
 from roemetry_simulate.products.artefacts import SphereOptions, WedgeOptions, sphere, wedge
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.herring import build, draw
@@ -128,27 +134,12 @@ def a_step_of_one_spacing() -> Sample:
 CASES: Mapping[str, Callable[[], Sample]] = {
     case.__name__: case
     for case in (
-        broken_stripes,
-        grazed_stripes,
-        hidden_body,
-        hidden_belt,
-        smooth_tail,
-        leaving_the_image,
-        past_the_neighbour,
-        on_the_neighbour,
-        crossing_twice,
-        specular_blobs,
-        second_reflections,
-        two_products,
-        two_products_on_one_stripe,
-        dirt_on_the_belt,
-        cut_by_the_image_edge,
-        lost_belt,
-        a_dead_stripe,
-        dense_and_displaced,
-        a_step_of_one_spacing,
+        broken_stripes, grazed_stripes, hidden_body, hidden_belt, smooth_tail, leaving_the_image,
+        past_the_neighbour, on_the_neighbour, crossing_twice, specular_blobs, second_reflections,
+        two_products, two_products_on_one_stripe, dirt_on_the_belt, cut_by_the_image_edge,
+        lost_belt, a_dead_stripe, dense_and_displaced, a_step_of_one_spacing,
     )
-}
+}  # fmt: skip
 """Every case, by name."""
 
 

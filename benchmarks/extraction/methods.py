@@ -4,31 +4,46 @@ from __future__ import annotations
 
 import importlib.util
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.extraction import compiled, packages, peers
-from benchmarks.extraction.drawing import Light
-from benchmarks.extraction.scoring import Found
+from benchmarks.extraction import peers
+from benchmarks.extraction.drawing import Found, Light
 from roemetry.records import WIDE, Frame, Peaks, Sensor
 from roemetry.stages import Extractor
 from roemetry.stages.registry import discover
 
-TOLD = MappingProxyType(
-    {
-        "dominant-peak": {"threshold": 30.0, "start": "lowest"},
-        "binary-threshold": {"threshold": peers.LEVEL},
-        "local-maximum": {"floor": peers.LEVEL},
-    }
-)
+TOLD = {
+    "dominant-peak": {"threshold": 30.0, "start": "lowest"},
+    "binary-threshold": {"threshold": peers.LEVEL},
+    "local-maximum": {"floor": peers.LEVEL},
+}
 """The paper's stages have fixed thresholds: they are told the one that suits these images."""
+PEERS: dict[str, Callable[[NDArray[Any]], Found]] = {
+    "OpenCV blur + dilate + log-parabola": peers.opencv_log_parabola,
+    "OpenCV blur + dilate + centre of gravity": peers.opencv_centre_of_gravity,
+    "OpenCV Steger, vectorised": peers.opencv_steger,
+    "numpy runs + centre of gravity": peers.numpy_run_centre_of_gravity,
+    "scipy find_peaks + log-parabola": peers.scipy_log_parabola,
+    "scipy find_peaks + centre of gravity": peers.scipy_centre_of_gravity,
+    "C++, log-parabola of 5 pixels": peers.compiled(2, weighted=False),
+    "C++, weighted Gaussian of 9 pixels": peers.compiled(4, weighted=True),
+    "scikit-image Hessian": peers.skimage_hessian,
+    "scikit-image sato": peers.skimage_sato,
+    "ridge-detector": peers.ridge_detector,
+}
+PACKAGES = {
+    "scikit-image Hessian": ("skimage", "pip install roemetry[benchmarks]"),
+    "scikit-image sato": ("skimage", "pip install roemetry[benchmarks]"),
+    "ridge-detector": ("ridge_detector", "pip install --no-deps ridge-detector imageio matplotlib"),
+}
+"""Module and remedy of the peers that must be installed; all are slow."""
 
 
 @dataclass(frozen=True)
@@ -43,17 +58,16 @@ class Method:
     """Takes so long that it is tried on few images only."""
 
 
-def methods(wanted: tuple[str, ...] = ()) -> tuple[list[Method], dict[str, str]]:
+def methods(wanted: Sequence[str] = ()) -> tuple[list[Method], dict[str, str]]:
     """Give the methods (all, or those whose name holds one of the words), and why others are left out."""
     found, left_out = [], {}
-    for make in (_ours, _peers, _packages):
-        for name, each in make():
-            if wanted and not any(word in name for word in wanted):
-                continue
-            if isinstance(each, str):
-                left_out[name] = each
-            else:
-                found.append(each)
+    for name, each in (*_ours(), *_peers()):
+        if wanted and not any(word in name for word in wanted):
+            continue
+        if isinstance(each, str):
+            left_out[name] = each
+        else:
+            found.append(each)
     return found, left_out
 
 
@@ -70,67 +84,44 @@ def found_in(peaks: Peaks) -> Found:
     return Found(peaks.row[stripe].astype(np.float64), peaks.x_px[stripe], peaks.x_std_px[stripe])
 
 
-def extractors(options: Mapping[str, Mapping[str, Any]] = TOLD) -> Iterator[tuple[str, Extractor[Any] | str]]:
+def extractors() -> Iterator[tuple[str, Extractor[Any] | str]]:
     """Make every registered extractor of lines, or say what it lacks."""
     registry = discover()
     for registered in registry.of_kind("extractor"):
         name = registered.entry.name
         if registered.missing is not None:
             yield name, registered.missing
-            continue
-        cls = registry.load(registered)
-        if cls.capabilities.pattern != "lines":
-            continue
-        yield name, cls(cls.Options(**options.get(name, {})))
+        elif (cls := registry.load(registered)).capabilities.pattern == "lines":
+            yield name, cls(cls.Options(**TOLD.get(name, {})))
+
+
+def there(words: Sequence[str] = ()) -> Iterator[tuple[str, Extractor[Any]]]:
+    """Make the extractors that can be used; with words, those whose name holds one."""
+    for name, stage in extractors():
+        if not isinstance(stage, str) and (not words or any(word in name for word in words)):
+            yield name, stage
 
 
 def _ours() -> Iterator[tuple[str, Method | str]]:
+    def run(stage: Extractor[Any]) -> Callable[[NDArray[Any], Light | None], Found]:
+        return lambda pixels, light: found_in(stage.extract(frame_of(pixels, light)))
+
     for name, stage in extractors():
-        if isinstance(stage, str):
-            yield name, stage
-        else:
-            yield name, Method(name, True, _run(stage))
-
-
-def _run(stage: Extractor[Any]) -> Callable[[NDArray[Any], Light | None], Found]:
-    return lambda pixels, light: found_in(stage.extract(frame_of(pixels, light)))
+        yield name, stage if isinstance(stage, str) else Method(name, True, run(stage))
 
 
 def _peers() -> Iterator[tuple[str, Method | str]]:
-    for name, find in {
-        "OpenCV blur + dilate + log-parabola": peers.opencv_log_parabola,
-        "OpenCV blur + dilate + centre of gravity": peers.opencv_centre_of_gravity,
-        "OpenCV Steger, vectorised": peers.opencv_steger,
-        "numpy runs + centre of gravity": peers.numpy_run_centre_of_gravity,
-        "scipy find_peaks + log-parabola": peers.scipy_log_parabola,
-        "scipy find_peaks + centre of gravity": peers.scipy_centre_of_gravity,
-    }.items():
-        yield name, Method(name, False, _plain(find))
-    for name, reach, weighted in (
-        ("C++, log-parabola of 5 pixels", 2, False),
-        ("C++, weighted Gaussian of 9 pixels", 4, True),
-    ):
-        if compiled.COMPILER is None:
+    def plain(find: Callable[[NDArray[Any]], Found]) -> Callable[[NDArray[Any], Light | None], Found]:
+        return lambda pixels, _: find(pixels)
+
+    for name, find in PEERS.items():
+        module, remedy = PACKAGES.get(name, ("", ""))
+        if module and importlib.util.find_spec(module) is None:
+            yield name, f"{module} is not installed: {remedy}"
+        elif name.startswith("C++") and peers.COMPILER is None:
             yield name, "there is no C++ compiler"
         else:
-            yield name, Method(name, False, _plain(compiled.compiled(reach, weighted=weighted)))
-
-
-def _packages() -> Iterator[tuple[str, Method | str]]:
-    for name, module, find, remedy in (
-        ("scikit-image Hessian", "skimage", packages.skimage_hessian, "pip install roemetry[benchmarks]"),
-        ("scikit-image sato", "skimage", packages.skimage_sato, "pip install roemetry[benchmarks]"),
-        (
-            "ridge-detector",
-            "ridge_detector",
-            packages.ridge_detector,
-            "pip install --no-deps ridge-detector imageio matplotlib",
-        ),
-    ):
-        if importlib.util.find_spec(module) is None:
-            yield name, f"{module} is not installed: {remedy}"
-        else:
-            yield name, Method(name, False, _plain(find), slow=True)
+            yield name, Method(name, False, plain(find), slow=bool(module))
 
 
 def measured_beforehand(images: Callable[[tuple[int, int]], Sequence[Frame]]) -> Method:
@@ -154,7 +145,3 @@ def measured_beforehand(images: Callable[[tuple[int, int]], Sequence[Frame]]) ->
         return found_in(stages[size].extract(frame_of(pixels, light)))
 
     return Method("maximum-likelihood, noise measured once", True, find)
-
-
-def _plain(find: Callable[[NDArray[Any]], Found]) -> Callable[[NDArray[Any], Light | None], Found]:
-    return lambda pixels, _: find(pixels)

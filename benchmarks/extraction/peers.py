@@ -1,10 +1,18 @@
-"""What people use today, each in its best form that we could write: OpenCV, scipy and numpy recipes.
+"""What people use today, each in its best form that we could write: OpenCV, scipy, numpy, packages.
 
-All are told the threshold that suits these images; ours have to find it. None states an uncertainty.
+All are told the threshold that suits these images; ours have to find it. None states an uncertainty. A first
+try in C++ is `rows.cpp`, compiled where there is a compiler.
 """
 
 from __future__ import annotations
 
+import ctypes
+import shutil
+import subprocess
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
 import cv2
@@ -12,48 +20,44 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
-from benchmarks.extraction.scoring import Found
-from roemetry.records.arrays import Floats
+from benchmarks.extraction.drawing import Found
+from roemetry.records.arrays import Floats, Integers
 
 LEVEL = 40.0
 """Grey level between the ambient light of the images and the dimmest stripe."""
 PROMINENCE = 30.0
+SOURCE = Path(__file__).with_name("rows.cpp")
+COMPILER = next(filter(None, map(shutil.which, ("c++", "g++", "clang++"))), None)
 _REACH = 7
+_SIGMA_PX = 2.0
 _LOG = np.log(np.maximum(np.arange(256, dtype=np.float64), 0.5))
+_PEAKS_A_ROW = 64
 Pixels = NDArray[Any]
+Maxima = tuple[Integers, Integers]
 
 
 def opencv_log_parabola(pixels: Pixels) -> Found:
     """Blur, dilate, keep what equals its dilation; a parabola through three logarithms."""
-    blurred, row, column = _opencv_maxima(pixels)
-    left, here, right = (_LOG[blurred.ravel()[row * pixels.shape[1] + column + step]] for step in (-1, 0, 1))
-    bend = left - 2.0 * here + right
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shift = np.where(bend < 0.0, 0.5 * (left - right) / bend, 0.0)
-    return _found(row, column + shift)
+    blurred, (row, column) = _opencv_maxima(pixels)
+    at = row * pixels.shape[1] + column
+    return _parabola(row, column, *(_LOG[blurred.ravel()[at + step]] for step in (-1, 0, 1)))
 
 
 def opencv_centre_of_gravity(pixels: Pixels) -> Found:
     """The same maxima; centre of gravity of 15 pixels of the image, less the darkest of them."""
-    _, row, column = _opencv_maxima(pixels)
-    return _found(row, _gravity(pixels, row, column))
+    return _gravity(pixels, *_opencv_maxima(pixels)[1])
 
 
 def scipy_log_parabola(pixels: Pixels) -> Found:
     """`scipy.signal.find_peaks` with a prominence, row by row; a parabola through three logarithms."""
     row, column = _scipy_maxima(pixels)
-    levels = _LOG[pixels]
-    left, here, right = (levels[row, np.clip(column + step, 0, pixels.shape[1] - 1)] for step in (-1, 0, 1))
-    bend = left - 2.0 * here + right
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shift = np.where(bend < 0.0, 0.5 * (left - right) / bend, 0.0)
-    return _found(row, column + shift)
+    levels, last = _LOG[pixels], pixels.shape[1] - 1
+    return _parabola(row, column, *(levels[row, np.clip(column + step, 0, last)] for step in (-1, 0, 1)))
 
 
 def scipy_centre_of_gravity(pixels: Pixels) -> Found:
     """`scipy.signal.find_peaks` with a prominence, row by row; centre of gravity of 15 pixels."""
-    row, column = _scipy_maxima(pixels)
-    return _found(row, _gravity(pixels, row, column))
+    return _gravity(pixels, *_scipy_maxima(pixels))
 
 
 def numpy_run_centre_of_gravity(pixels: Pixels) -> Found:
@@ -73,28 +77,20 @@ def numpy_run_centre_of_gravity(pixels: Pixels) -> Found:
 
 def opencv_steger(pixels: Pixels) -> Found:
     """Steger's lines with σ 2 px: where the second derivative across is strongest and the first one zero."""
-    sigma = 2.0
     off = np.arange(-_REACH, _REACH + 1, dtype=np.float64)
-    smooth = np.exp(-0.5 * (off / sigma) ** 2)
+    smooth = np.exp(-0.5 * (off / _SIGMA_PX) ** 2)
     smooth /= smooth.sum()
-    first = -off / sigma**2 * smooth
-    second = (off**2 / sigma**4 - 1.0 / sigma**2) * smooth
+    first = -off / _SIGMA_PX**2 * smooth
+    second = (off**2 / _SIGMA_PX**4 - 1.0 / _SIGMA_PX**2) * smooth
+    pairs = (first, smooth), (smooth, first), (second, smooth), (smooth, second), (first, first)
     rx, ry, rxx, ryy, rxy = (
         # OpenCV's filters correlate: an odd kernel is turned round
         cv2.sepFilter2D(pixels, cv2.CV_32F, across[::-1].copy(), along[::-1].copy())
-        for across, along in (
-            (first, smooth),
-            (smooth, first),
-            (second, smooth),
-            (smooth, second),
-            (first, first),
-        )
+        for across, along in pairs
     )
-    row, column = np.nonzero(rxx < -0.2 * PROMINENCE / sigma**2)
+    row, column = np.nonzero(rxx < -0.2 * PROMINENCE / _SIGMA_PX**2)
     gx, gy, xx, yy, xy = (each[row, column].astype(np.float64) for each in (rx, ry, rxx, ryy, rxy))
-    middle, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
-    strongest = middle - half
-    nx, ny = xy, strongest - xx
+    strongest = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
     straight = np.abs(xy) < 1e-9
     nx, ny = np.where(straight, 1.0, strongest - yy), np.where(straight, 0.0, xy)
     length = np.hypot(nx, ny)
@@ -104,17 +100,73 @@ def opencv_steger(pixels: Pixels) -> Found:
     return _found((row + step * ny)[inside], (column + step * nx)[inside])
 
 
-def _opencv_maxima(pixels: Pixels) -> tuple[Pixels, NDArray[np.int64], NDArray[np.int64]]:
+def skimage_hessian(pixels: Pixels) -> Found:
+    """Take maxima along the rows of the Hessian's strongest eigenvalue, with a parabola."""
+    from skimage.feature import hessian_matrix, hessian_matrix_eigvals
+
+    grey = pixels.astype(np.float64)
+    entries = hessian_matrix(grey, sigma=_SIGMA_PX, order="rc", use_gaussian_derivatives=True)
+    return _maxima(-hessian_matrix_eigvals(entries)[1], 0.2 * PROMINENCE / _SIGMA_PX**2)
+
+
+def skimage_sato(pixels: Pixels) -> Found:
+    """Take maxima along the rows of scikit-image's `sato` ridge filter, with a parabola."""
+    from skimage.filters import sato
+
+    strength = sato(pixels.astype(np.float64), sigmas=[_SIGMA_PX], black_ridges=False)
+    return _maxima(strength, 0.2 * PROMINENCE)
+
+
+def ridge_detector(pixels: Pixels) -> Found:
+    """The package ridge-detector (Steger, many widths), lines of 3 to 8 px, positions as it gives them."""
+    from ridge_detector import RidgeDetector
+
+    how = {"low_contrast": 20, "high_contrast": 40, "min_len": 5, "dark_line": False, "estimate_width": False}
+    detector = RidgeDetector(line_widths=np.array([3, 5, 8]), **how)
+    detector.detect_lines(pixels)
+    lines = detector.contours
+    row = np.concatenate([np.asarray(line.row, np.float64) for line in lines] or [np.empty(0)])
+    return _found(row, np.concatenate([np.asarray(line.col, np.float64) for line in lines] or [np.empty(0)]))
+
+
+def compiled(reach: int, *, weighted: bool) -> Callable[[Pixels], Found]:
+    """Give the extractor in C++ that looks at `reach` pixels on both sides of a top."""
+
+    def find(pixels: Pixels) -> Found:
+        rows, columns = pixels.shape
+        room = _PEAKS_A_ROW * rows
+        row, x_px = np.empty(room), np.empty(room)
+        count = _library().peaks(
+            pixels.ctypes.data, rows, columns, int(PROMINENCE), reach, int(weighted), room, row.ctypes.data,
+            x_px.ctypes.data,
+        )  # fmt: skip
+        return _found(row[:count], x_px[:count])
+
+    return find
+
+
+@cache
+def _library() -> Any:
+    assert COMPILER is not None
+    made = Path(mkdtemp(prefix="roemetry-rows-")) / "rows.so"
+    flags = ["-O3", "-march=native", "-std=c++17", "-shared", "-fPIC"]
+    subprocess.run([COMPILER, *flags, str(SOURCE), "-o", str(made)], check=True)
+    library = ctypes.CDLL(str(made))
+    pointer, whole = ctypes.c_void_p, ctypes.c_int64
+    library.peaks.argtypes = [pointer, whole, whole, *3 * [ctypes.c_int], whole, pointer, pointer]
+    library.peaks.restype = whole
+    return library
+
+
+def _opencv_maxima(pixels: Pixels) -> tuple[Pixels, Maxima]:
     """Local maxima along the rows of the blurred image, one a plateau, none at the border."""
     blurred = cv2.GaussianBlur(pixels, (5, 5), 0)
     highest = cv2.dilate(blurred, np.ones((1, 7), np.uint8))
     # a mask of OpenCV, so that nothing as large as the image is made by numpy
-    equal = cv2.compare(blurred, highest, cv2.CMP_EQ)
-    bright = cv2.compare(blurred, LEVEL, cv2.CMP_GT)
+    equal, bright = cv2.compare(blurred, highest, cv2.CMP_EQ), cv2.compare(blurred, LEVEL, cv2.CMP_GT)
     at = cv2.findNonZero(cv2.bitwise_and(equal, bright))
     if at is None:
-        nothing = np.empty(0, np.int64)
-        return blurred, nothing, nothing
+        return blurred, (np.empty(0, np.int64), np.empty(0, np.int64))
     column, row = at.reshape(-1, 2).T.astype(np.int64)
     begins = np.ones(len(row), bool)
     begins[1:] = (np.diff(column) != 1) | (np.diff(row) != 0)
@@ -122,21 +174,34 @@ def _opencv_maxima(pixels: Pixels) -> tuple[Pixels, NDArray[np.int64], NDArray[n
     last = np.append(first[1:], len(row)) - 1
     row, column = row[first], (column[first] + column[last]) // 2
     inside = (column > 0) & (column < pixels.shape[1] - 1)
-    return blurred, row[inside], column[inside]
+    return blurred, (row[inside], column[inside])
 
 
-def _scipy_maxima(pixels: Pixels) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _scipy_maxima(pixels: Pixels) -> Maxima:
     columns = [find_peaks(line, prominence=PROMINENCE)[0] for line in pixels]
     row = np.repeat(np.arange(len(columns)), [len(each) for each in columns])
     return row, np.concatenate(columns)
 
 
-def _gravity(pixels: Pixels, row: NDArray[np.int64], column: NDArray[np.int64]) -> Floats:
-    off = np.arange(-_REACH, _REACH + 1)
-    at = np.clip(column[:, None] + off, 0, pixels.shape[1] - 1)
+def _maxima(strength: Floats, least: float) -> Found:
+    left, here, right = strength[:, :-2], strength[:, 1:-1], strength[:, 2:]
+    row, column = np.nonzero((here > left) & (here >= right) & (here > least))
+    left, here, right = left[row, column], here[row, column], right[row, column]
+    return _found(row, column + 1 + 0.5 * (left - right) / (left - 2.0 * here + right))
+
+
+def _parabola(row: Integers, column: Integers, left: Floats, here: Floats, right: Floats) -> Found:
+    bend = left - 2.0 * here + right
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shift = np.where(bend < 0.0, 0.5 * (left - right) / bend, 0.0)
+    return _found(row, column + shift)
+
+
+def _gravity(pixels: Pixels, row: Integers, column: Integers) -> Found:
+    at = np.clip(column[:, None] + np.arange(-_REACH, _REACH + 1), 0, pixels.shape[1] - 1)
     level = pixels[row[:, None], at].astype(np.float64)
     level -= level.min(axis=1, keepdims=True)
-    return np.asarray((level * at).sum(axis=1) / np.maximum(level.sum(axis=1), 1e-9))
+    return _found(row, (level * at).sum(axis=1) / np.maximum(level.sum(axis=1), 1e-9))
 
 
 def _found(row: NDArray[Any], x_px: Floats) -> Found:

@@ -25,13 +25,9 @@ from roemetry_simulate.products import PRODUCTS
 MARGIN_MM = 4.0
 CLASSES = ("good", "dent", "bend", "twist", "fold", "broken")
 OUR_KINDS = {
-    "good": ("healthy",),
-    "dent": ("dented", "dented", "several-dents"),
-    "bend": ("bent", "s-bent"),
-    "twist": ("twisted",),
-    "fold": ("folded",),
-    "broken": ("broken",),
-}
+    "good": ("healthy",), "dent": ("dented", "dented", "several-dents"), "bend": ("bent", "s-bent"),
+    "twist": ("twisted",), "fold": ("folded",), "broken": ("broken",),
+}  # fmt: skip
 
 
 class Body(NamedTuple):
@@ -212,17 +208,11 @@ def _twisted(how: np.random.Generator, x: Floats, length: float) -> Floats:
 
 def _dents(how: np.random.Generator, length: float, sound: _Skein) -> Change:
     tall, wide = float(sound.height.max()), float(sound.half_width.max())
-    dents = [
-        (
-            length * how.uniform(-0.32, 0.32),
-            wide * how.uniform(-0.5, 0.5),
-            how.uniform(4.0, 9.0),
-            how.uniform(3.5, 7.5),
-            tall * how.uniform(0.15, 0.42),
-            int(how.integers(2)),
-        )
-        for _ in range(int(how.choice([1, 1, 1, 2, 3])))
-    ]
+    dents = []
+    for _ in range(int(how.choice([1, 1, 1, 2, 3]))):
+        place = length * how.uniform(-0.32, 0.32), wide * how.uniform(-0.5, 0.5)
+        size = how.uniform(4.0, 9.0), how.uniform(3.5, 7.5), tall * how.uniform(0.15, 0.42)
+        dents.append((*place, *size, int(how.integers(2))))
 
     def press(x: Floats, y: Floats, z: Floats) -> Floats:
         off = y - np.interp(x, sound.x, sound.axis)

@@ -1,18 +1,20 @@
-"""The classifiers that are compared, each a way from a row to a class."""
+"""The classifiers that are compared, each a way from a row to a class, and what they made of many skeins."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.traced.tables import SMOOTHING_MM, Row
+from benchmarks.traced import SMOOTHING_MM, Row
 from roemetry.records import Fitted, Grade, Samples
 from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions
 from roemetry_shape.learned import Learned, LearnedOptions
 from roemetry_shape.shape_limits import ShapeLimits, ShapeLimitsOptions
+from roemetry_tools.compare.agreement import Interval, wilson
 
 SHOWN_MM = 1.0
 """A defect that a lit stripe shows by this much ought to be caught."""
@@ -20,7 +22,8 @@ SHOWN_MM = 1.0
 TAUGHT_MM = 0.5
 """A defect that stripes show by less is not learned from: its features are those of a good product."""
 
-GOOD = "good"
+GOOD, UNKNOWN = "good", "unknown"
+HEALTHY = "none"
 Judge = Callable[[Row], Grade]
 
 NOT_LEARNED = ("humps", "hump_height_mm", "hump_area_mm2")
@@ -96,12 +99,8 @@ def rules_of(limits: ShapeLimitsOptions) -> FuzzyRulesOptions:
         name = f"{limit.feature} {'high' if high else 'low'} {number}"
         ends = [0.0, 1.0] if high else [1.0, 0.0]
         terms[name] = {"feature": limit.feature, "points": [[at - soft, ends[0]], [at + soft, ends[1]]]}
-        rules.append(
-            {
-                "when": [name, *(f"not {earlier}" for earlier in terms if earlier != name)],
-                "label": limit.label,
-            }
-        )
+        when = [name, *(f"not {earlier}" for earlier in terms if earlier != name)]
+        rules.append({"when": when, "label": limit.label})
     rules.append({"when": [f"not {name}" for name in terms], "label": GOOD})
     return FuzzyRulesOptions.model_validate({"terms": terms, "rules": rules, "smoothing_mm": SMOOTHING_MM})
 
@@ -140,3 +139,78 @@ def _worth(rows: Sequence[Row]) -> int:
 def _most_common(rows: Sequence[Row]) -> tuple[str, int]:
     counted = Counter(row.name for row in rows).most_common(1)
     return counted[0] if counted else ("", 0)
+
+
+class Judged(NamedTuple):
+    """A skein, the class it was given, and the probability stated."""
+
+    row: Row
+    label: str
+    probability: float
+
+    @property
+    def caught(self) -> bool:
+        """Whether it was called some defect; *unknown* is not."""
+        return self.label not in (GOOD, UNKNOWN)
+
+
+class Score(NamedTuple):
+    """Good against deformed, for defects of which a lit stripe shows a millimetre, and for all."""
+
+    good: int
+    kept: int
+    """good, kept: good skeins, and those that were called good."""
+    shown: int
+    caught: int
+    named: int
+    """shown, caught, named: skeins whose defect is shown; those that were called deformed; those whose defect
+    was named right."""
+    deformed: int
+    caught_of_all: int
+    """deformed, caught_of_all: all with a defect, shown or not; those that were called deformed."""
+    unknown: int
+    """Of all, called neither."""
+
+    @property
+    def balanced(self) -> float:
+        """Mean of the shares kept and caught."""
+        return 0.5 * (self.kept / max(self.good, 1) + self.caught / max(self.shown, 1))
+
+    @property
+    def balanced_interval(self) -> Interval:
+        """95 % interval of that: the two shares' intervals by Wilson, their half widths put together."""
+        parts = [(self.kept, self.good), (self.caught, self.shown)]
+        ends = [(k / max(n, 1), wilson(k, n)) for k, n in parts]
+        low = 0.5 * float(np.hypot(*(share - interval.low for share, interval in ends)))
+        high = 0.5 * float(np.hypot(*(interval.high - share for share, interval in ends)))
+        return Interval(self.balanced - low, min(self.balanced + high, 1.0))
+
+
+def judged_by(judge: Judge, rows: Sequence[Row]) -> list[Judged]:
+    """Judge all skeins that were measured."""
+    found = []
+    for row in rows:
+        if row.features and row.grades:
+            grade = judge(row)
+            found.append(Judged(row, grade.label, grade.probability))
+    return found
+
+
+def score_of(judged: Sequence[Judged]) -> Score:
+    """Count."""
+    good = [one for one in judged if one.row.name == GOOD]
+    deformed = [one for one in judged if one.row.name != GOOD]
+    shown = [one for one in deformed if one.row.defect["shown_mm"] >= SHOWN_MM]
+    return Score(
+        good=len(good), kept=sum(one.label == GOOD for one in good), shown=len(shown),
+        caught=sum(one.caught for one in shown), named=sum(one.label == one.row.name for one in shown),
+        deformed=len(deformed), caught_of_all=sum(one.caught for one in deformed),
+        unknown=sum(one.label == UNKNOWN for one in judged),
+    )  # fmt: skip
+
+
+def confusion_of(judged: Sequence[Judged], *, by_kind: bool = False) -> Counter[tuple[str, str]]:
+    """Count (what it is, what it was called); by kind, one dent and several are told apart."""
+    return Counter(
+        (one.row.kind if by_kind and one.row.kind != HEALTHY else one.row.name, one.label) for one in judged
+    )

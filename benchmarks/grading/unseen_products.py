@@ -6,15 +6,13 @@ import itertools
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from benchmarks.grading.judges import GOOD
-from benchmarks.grading.scores import UNKNOWN
+from benchmarks.grading.judges import GOOD, UNKNOWN
 from benchmarks.tables import kept_rows, share, table
-from benchmarks.traced import traced
-from benchmarks.traced.tables import SMOOTHING_MM
+from benchmarks.traced import SMOOTHING_MM, traced
 from roemetry.errors import RoemetryError
 from roemetry_shape.features import shape_of
 from roemetry_shape.learned import Learned, LearnedOptions
@@ -27,82 +25,49 @@ _NOTHING = "nothing"
 _LIES = {"turn_range_deg": 15.0, "offset_range_x_mm": 5.0, "offset_range_y_mm": 6.0}
 
 
-class Size(NamedTuple):
-    """Of a product as large as a skein, mm."""
-
-    length: float
-    width: float
-    height: float
+Options = Callable[[float, float, float], Mapping[str, Any]]
+"""Of a product as large as a skein: of length, width and height, mm."""
+_SIZES = ("length_mm", "width_mm", "height_mm")
 
 
-Options = Callable[[Size], Mapping[str, Any]]
+def _sized(*names: str) -> Options:
+    return lambda *size: dict(zip(names, size, strict=True))
+
+
+def _same(*_: float) -> Mapping[str, Any]:
+    return {}
+
+
+def _cap(length: float, _: float, height: float) -> Mapping[str, Any]:
+    """Half a length wide at its foot: r² = (r − h)² + foot²."""
+    return {"radius_mm": ((0.25 * length) ** 2 + height**2) / (2 * height), "height_mm": height}
+
 
 UNSEEN: Mapping[str, tuple[str, Options]] = {
-    "potato": ("potato", lambda size: {}),
-    "fillet": ("fillet", lambda size: {}),
-    "bread-roll": ("bread-roll", lambda size: {}),
-    "egg": ("egg", lambda size: {}),
-    "half cylinder": ("cylinder", lambda size: {"length_mm": size.length, "radius_mm": size.width / 2}),
-    "whole cylinder": (
-        "cylinder",
-        lambda size: {"length_mm": size.length, "radius_mm": size.height / 2, "half": False},
-    ),
-    "block": (
-        "block",
-        lambda size: {"length_mm": size.length, "width_mm": size.width, "height_mm": size.height},
-    ),
-    "wedge": (
-        "wedge",
-        lambda size: {"length_mm": size.length, "width_mm": size.width, "high_height_mm": size.height},
-    ),
+    "potato": ("potato", _same),
+    "fillet": ("fillet", _same),
+    "bread-roll": ("bread-roll", _same),
+    "egg": ("egg", _same),
+    "half cylinder": ("cylinder", lambda a, b, _: {"length_mm": a, "radius_mm": b / 2}),
+    "whole cylinder": ("cylinder", lambda a, _, c: {"length_mm": a, "radius_mm": c / 2, "half": False}),
+    "block": ("block", _sized(*_SIZES)),
+    "wedge": ("wedge", _sized("length_mm", "width_mm", "high_height_mm")),
     "sloping block": (
         "wedge",
-        lambda size: {
-            "length_mm": size.length,
-            "width_mm": size.width,
-            "low_height_mm": 0.5 * size.height,
-            "high_height_mm": size.height,
-        },
+        lambda a, b, c: {"length_mm": a, "width_mm": b, "low_height_mm": 0.5 * c, "high_height_mm": c},
     ),
     "single step": (
-        "staircase",
-        lambda size: {
-            "steps": 2,
-            "tread_mm": size.length / 2,
-            "riser_mm": size.height / 2,
-            "width_mm": size.width,
-        },
+        "staircase", lambda a, b, c: {"steps": 2, "tread_mm": a / 2, "riser_mm": c / 2, "width_mm": b}
     ),
-    "staircase": (
-        "staircase",
-        lambda size: {
-            "tread_mm": size.length / 5,
-            "riser_mm": size.height / 5,
-            "width_mm": size.width,
-        },
-    ),
-    "truncated-pyramid": (
-        "truncated-pyramid",
-        lambda size: {"length_mm": size.length, "width_mm": size.width, "height_mm": size.height},
-    ),
-    "ball": ("sphere", lambda size: {"radius_mm": size.width / 2}),
-    "cap of a ball": (
-        "sphere",
-        # Half a length wide at its foot: r² = (r − h)² + foot².
-        lambda size: {
-            "radius_mm": ((0.25 * size.length) ** 2 + size.height**2) / (2 * size.height),
-            "height_mm": size.height,
-        },
-    ),
+    "staircase": ("staircase", lambda a, b, c: {"tread_mm": a / 5, "riser_mm": c / 5, "width_mm": b}),
+    "truncated-pyramid": ("truncated-pyramid", _sized(*_SIZES)),
+    "ball": ("sphere", lambda _, b, __: {"radius_mm": b / 2}),
+    "cap of a ball": ("sphere", _cap),
     "ball-bar": (
         "ball-bar",
-        lambda size: {
-            "ball_radius_mm": size.height / 2,
-            "centre_distance_mm": size.length - size.height,
-            "rod_radius_mm": 0.35 * size.height,
-        },
+        lambda a, _, c: {"ball_radius_mm": c / 2, "centre_distance_mm": a - c, "rod_radius_mm": 0.35 * c},
     ),
-}
+}  # fmt: skip
 """Family and options by name: foods as they are simulated; bodies of geometry as large as a skein."""
 
 
@@ -140,7 +105,7 @@ def features_of(name: str, seed: int) -> dict[str, float]:
     sizes = np.random.default_rng([seed, 3]).uniform((70.0, 20.0, 10.0), (105.0, 34.0, 20.0))
     lies = {} if family in ("potato", "fillet", "bread-roll", "egg") else _LIES
     try:
-        one = traced(seed, family=family, options={**lies, **options(Size(*sizes.tolist()))})
+        one = traced(seed, family=family, options={**lies, **options(*sizes.tolist())})
     except RoemetryError:
         return {}
     return {} if one.exact is None else shape_of(one.exact, SMOOTHING_MM).features

@@ -134,17 +134,13 @@ def measured(surface: Surface, rig: Rig, rng: np.random.Generator) -> Product:
     xyz[~seen] = np.nan
     rows = np.broadcast_to(np.arange(shape[1], dtype=np.float64), shape)
     normal = np.stack([np.ones_like(lean), np.zeros_like(lean), lean, rest], axis=1)
+    std_mm = np.where(seen, np.hypot(rig.noise_px, rig.correlated_px) * gain, np.nan)
     profiles = Profiles(
-        xyz_mm=xyz,
-        product=np.where(seen, 1, NOTHING).astype(np.int16),
-        seen=seen,
+        xyz_mm=xyz, product=np.where(seen, 1, NOTHING).astype(np.int16), seen=seen,
         x_px=np.where(seen, (rig.camera_x_mm + sight * rig.camera_z_mm) / rig.row_mm, np.nan),
-        row_px=np.where(seen, rows, np.nan),
-        height_std_mm=np.where(seen, np.hypot(rig.noise_px, rig.correlated_px) * gain, np.nan),
-        stripe=np.arange(shape[0]),
-        frame=np.zeros(shape[0], np.int64),
-        plane=normal / np.hypot(1.0, lean)[:, None],
-    )
+        row_px=np.where(seen, rows, np.nan), height_std_mm=std_mm, stripe=np.arange(shape[0]),
+        frame=np.zeros(shape[0], np.int64), plane=normal / np.hypot(1.0, lean)[:, None],
+    )  # fmt: skip
     known = LinearRig(stripes=rig.stripes, spacing_px=10.0, first_px=5.0).calibration()
     displacement = np.abs(lean - (rest - rig.camera_x_mm) / rig.camera_z_mm) / rig.row_mm
     return Product(1, profiles, replace(known, displacement_px_per_mm=displacement), ("scene",))

@@ -9,24 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.grading.bodies import Body, of_meshes, our_skein, second_skein
+from benchmarks.grading.bodies import CLASSES, Body, of_meshes, our_skein, second_skein
 from benchmarks.grading.virtual_rig import Rig, draw_rig, measured
 from benchmarks.tables import kept_rows
-from benchmarks.traced.tables import BEST_OPTIONS, Row
-from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
+from benchmarks.traced import Row, papers_grades
 from roemetry_shape.features import shape_of
 
 MIX = (*("good",) * 4, "dent", "dent", "bend", "twist", "fold", "fold", "broken")
 """Classes by turns."""
 
-KINDS = {
-    "good": "none",
-    "dent": "dented",
-    "bend": "bent",
-    "twist": "twisted",
-    "fold": "folded",
-    "broken": "broken",
-}
+KINDS = dict(zip(CLASSES, ("none", "dented", "bent", "twisted", "folded", "broken"), strict=True))
 """Kind in a row, by class."""
 
 TURN_DEG = 12.0
@@ -65,18 +57,10 @@ def rows_of_body(
         xyz = product.profiles.xyz_mm[product.profiles.seen]
         off = sound.at(xyz[:, 0], xyz[:, 1]) - surface.at(xyz[:, 0], xyz[:, 1])
         yield Row(
-            seed=seed,
-            rig=family,
-            kind=KINDS[body.label],
-            refused="",
-            features=shape_of(product).features,
-            grades={
-                "paper": ArcCurvature().classify(product).label,
-                "best options": ArcCurvature(ArcCurvatureOptions(**BEST_OPTIONS)).classify(product).label,
-            },
+            seed=seed, rig=family, kind=KINDS[body.label], refused="", features=shape_of(product).features,
+            grades=papers_grades(product), weight={},
             defect={"shown_mm": float(np.abs(off).max(initial=0.0))},
-            weight={},
-        )
+        )  # fmt: skip
 
 
 def lofted_skein(seed: int, label: str) -> Body:

@@ -45,7 +45,6 @@ skein; `unknown` for a skein is counted apart.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import os
@@ -53,9 +52,11 @@ import shutil
 import tempfile
 import time
 import traceback
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from benchmarks.command import add_sharing, parser_of
 from benchmarks.outside.reading import RigError, read_rig, rig_folders
 from benchmarks.outside.scoring import CHAINS, score_rig
 from benchmarks.outside.table import tables
@@ -69,12 +70,11 @@ CLASSIFIER = ROOT / "recipes" / "herring_roe" / "classifier.json"
 
 def main() -> None:
     """Score every rig, print the table, and write it with its numbers."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("folders", type=Path, nargs="*", metavar="FOLDER")
     parser.add_argument("--draws", type=int, help="Monte Carlo draws; left out: linearised uncertainties")
     parser.add_argument("--rigs", nargs="+", help="only the rig folders of these names")
-    parser.add_argument("--jobs", type=int, default=1, help="rigs at a time")
-    parser.add_argument("--cluster", help="dask scheduler to score on, or local")
+    add_sharing(parser)
     parser.add_argument("--extractors", nargs="*", default=["maximum-likelihood", "gaussian"])
     parser.add_argument("--chains", nargs="+", default=list(CHAINS), choices=CHAINS)
     parser.add_argument("--out", type=Path, help="folder for outside.json and outside.md")
@@ -94,11 +94,11 @@ def main() -> None:
     if not folders:
         raise SystemExit(f"no rig folder in {', '.join(map(str, given.folders or [default]))}")
     begin = time.monotonic()
-    asked = (given.draws, given.extractors, given.chains)
+    asked = (_scored, given.draws, given.extractors, given.chains)
     executor = executor_of(given.cluster, given.jobs)
     results = [
         {"rig": one.task.name, "fault": one.why} if isinstance(one, Lost) else one
-        for one in executor.in_order(_Scores, asked, [folder.absolute() for folder in folders])
+        for one in executor.in_order(partial, asked, [folder.absolute() for folder in folders])
     ]
     _write(results, given.draws, given.out)
     print(f"{time.monotonic() - begin:.0f} s")
@@ -130,17 +130,7 @@ def _write(results: list[dict[str, Any]], draws: int | None, folder: Path | None
         (folder / "outside.md").write_text(text, encoding="utf-8")
 
 
-class _Scores:
-    """Scores a rig at a time."""
-
-    def __init__(self, draws: int | None, extractors: list[str], chains: list[str]) -> None:
-        self._asked = (draws, extractors, chains)
-
-    def __call__(self, folder: Path) -> dict[str, Any]:
-        return _scored(folder, *self._asked)
-
-
-def _scored(folder: Path, draws: int | None, extractors: list[str], chains: list[str]) -> dict[str, Any]:
+def _scored(draws: int | None, extractors: list[str], chains: list[str], folder: Path) -> dict[str, Any]:
     try:
         rig = read_rig(folder)
         with tempfile.TemporaryDirectory(prefix="roemetry-outside-") as made:

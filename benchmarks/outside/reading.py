@@ -193,13 +193,11 @@ def camera_and_planes(truth: Mapping[str, Any]) -> View:
     planes[:, 3] *= -1.0  # n·X + d = 0 in the file, n·X = d here
     planes /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
     return View(
-        image_size=(int(camera["height"]), int(camera["width"])),
+        image_size=(int(camera["height"]), int(camera["width"])), T_belt_camera=pose, planes=planes,
         camera_matrix=np.array(camera["K"], np.float64),
-        T_belt_camera=pose,
-        planes=planes,
         distortion=np.array(camera["dist_k1k2p1p2k3"], np.float64),
         projector_mm=np.array(laser["projector_centre_belt"], np.float64),
-    )
+    )  # fmt: skip
 
 
 def true_calibration(truth: Mapping[str, Any], height_max_mm: float) -> Calibration:
@@ -220,20 +218,12 @@ def true_calibration(truth: Mapping[str, Any], height_max_mm: float) -> Calibrat
     row_px = np.arange(rows, dtype=np.float64)
     rest, lifted = lines_at(view, 0.0, row_px), lines_at(view, 1.0, row_px)
     size = sum(np.size(value) for value in parameters.values())
+    rest_px = np.polynomial.polynomial.polyfit(row_px - 0.5 * (rows - 1), rest.T, 6).T
     return Calibration(
-        method="pinhole-plane",
-        image_size=view.image_size,
-        turn_deg=0,
-        rest_px=np.asarray(
-            np.polynomial.polynomial.polyfit(row_px - 0.5 * (rows - 1), rest.T, 6).T, np.float64
-        ),
-        displacement_px_per_mm=(lifted - rest)[:, rows // 2],
-        height_range_mm=(0.0, height_max_mm),
-        parameters=parameters,
-        covariance=np.zeros((size, size)),
-        extractor={"use": "exact"},
-        view=view,
-    )
+        method="pinhole-plane", image_size=view.image_size, turn_deg=0, rest_px=rest_px.astype(np.float64),
+        displacement_px_per_mm=(lifted - rest)[:, rows // 2], height_range_mm=(0.0, height_max_mm),
+        parameters=parameters, covariance=np.zeros((size, size)), extractor={"use": "exact"}, view=view,
+    )  # fmt: skip
 
 
 def lines_at(view: View, height_mm: float, row_px: Floats) -> Floats:

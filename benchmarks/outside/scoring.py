@@ -96,15 +96,10 @@ def _exact_map(x_px: Floats, rest_px: Floats) -> StripeMap:
     """Give exact crossings as a coder would."""
     seen = np.isfinite(x_px)
     return StripeMap(
-        x_px=x_px,
-        x_std_px=np.where(seen, 0.0, np.nan),
-        product=np.where(seen, 0, -1).astype(np.int16),
-        seen=seen,
-        margin=np.where(seen, 1.0, np.nan),
-        ambiguous=np.zeros_like(seen),
-        rest_px=rest_px,
+        x_px=x_px, x_std_px=np.where(seen, 0.0, np.nan), product=np.where(seen, 0, -1).astype(np.int16),
+        seen=seen, margin=np.where(seen, 1.0, np.nan), ambiguous=np.zeros_like(seen), rest_px=rest_px,
         peak_stripe=np.zeros(0, np.int16),
-    )
+    )  # fmt: skip
 
 
 def peaks(found: Peaks, true: Crossings) -> Row:
@@ -277,13 +272,9 @@ def score_rig(
     boards, by_boards = calibrated(rig, folder, "boards.yaml")
     block, by_block = calibrated(rig, folder, "block_rig.yaml") if "paper" in chains else (None, {})
     result: Row = {
-        "rig": rig.name,
-        "calibration": {"boards": by_boards, "block": by_block},
-        "labels_by_true_calibration": boards is None,
-        "peaks": {},
-        "chains": {},
-        "faults": faults,
-    }
+        "rig": rig.name, "calibration": {"boards": by_boards, "block": by_block},
+        "labels_by_true_calibration": boards is None, "peaks": {}, "chains": {}, "faults": faults,
+    }  # fmt: skip
     recipes = recipes_of(rig, folder, boards, block, draws)
     truths: dict[str, Crossings] = {}
     for body in rig.bodies:

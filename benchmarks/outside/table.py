@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -13,19 +14,20 @@ from benchmarks.outside.scoring import CHAINS
 from benchmarks.tables import Table
 
 Row = Mapping[str, Any]
+Rows = Sequence[Row]
 
 VERDICTS = ("right", "wrong", "unknown", "none")
 DEFECTIVE = "henkei"
 """What the paper's rule and the fuzzy rules call a skein with any defect."""
 
 
-def tables(results: Sequence[Row]) -> list[Table]:
+def tables(results: Rows) -> list[Table]:
     """Give a line for each rig, the worst volume first; then everything of each rig; then every body."""
     rows = [row for one in results for row in _rig_rows(one)]
     return [_summary(results), Table("Everything", ["rig", "what", "by", "result"], rows), _bodies(results)]
 
 
-def _summary(results: Sequence[Row]) -> Table:
+def _summary(results: Rows) -> Table:
     lines: list[tuple[float, list[str]]] = []
     pooled: dict[str, dict[str, dict[str, Row]]] = {chain: {"bodies": {}} for chain in CHAINS}
     for one in results:
@@ -55,71 +57,80 @@ def _line(name: str, heights: str, chains: Row) -> tuple[float, list[str]]:
     """Give a rig's line, and the error of its skeins' volume, by which lines are ordered."""
     kinds = {chain: _kinds(found.get("bodies", {})) for chain, found in chains.items()}
     usual = kinds.get("plain outline", {})
-    cells = [name, heights]
-    for kind in ("skeins", "shapes"):
-        total = _summed(usual.get(kind, []))
-        seen = max(total.get("visible", 0) - total.get("unseen", 0), 1)
-        right, wrong = total.get("right", 0) / seen, 1e6 * total.get("wrong", 0) / seen
-        cells.append(f"{right:.2%}, {wrong:.0f} ppm" if total else "–")
-    cells += [_short_volume(usual.get(kind, [])) for kind in ("skeins", "shapes")]
-    cells += [_short_volume(kinds.get(chain, {}).get("skeins", [])) for chain in CHAINS[1:]]
-    for kind in ("skeins", "shapes"):
-        judged = [grade_of(body["grade"]["said"], body["grade"]["true"]) for body in usual.get(kind, [])]
-        cells.append(" / ".join(str(judged.count(word)) for word in VERDICTS) if judged else "–")
-    return _mean_absolute(usual.get("skeins", [])), cells
+    skeins, shapes = usual.get("skeins", []), usual.get("shapes", [])
+    short = "{right:.2%}, {wrong:.0f} ppm"
+    labels = [_labels(bodies, short) if bodies else "–" for bodies in (skeins, shapes)]
+    volumes = [skeins, shapes, *(kinds.get(chain, {}).get("skeins", []) for chain in CHAINS[1:])]
+    grades = [" / ".join(str(n) for n in _judged(bodies)) if bodies else "–" for bodies in (skeins, shapes)]
+    off = [abs(body["visible"]["error"]) for body in skeins if "visible" in body]
+    return float(np.mean(off)) if off else math.inf, [name, heights, *labels, *map(_short, volumes), *grades]
 
 
-def _mean_absolute(bodies: Sequence[Row]) -> float:
-    off = [abs(body["visible"]["error"]) for body in bodies if "visible" in body]
-    return float(np.mean(off)) if off else math.inf
+def _errors(bodies: Rows, which: str) -> tuple[np.ndarray, list[bool], float]:
+    """Give the errors of what was measured, which of the stated intervals hold, and their median width."""
+    known = [body[which] for body in bodies if which in body and math.isfinite(body[which]["error"])]
+    stated = [one for one in known if one["holds"] is not None]
+    width = float(np.median([one["width"] for one in stated])) if stated else math.nan
+    return np.array([one["error"] for one in known]), [one["holds"] for one in stated], width
 
 
-def _short_volume(bodies: Sequence[Row]) -> str:
+def _short(bodies: Rows) -> str:
     if not bodies:
         return "–"
-    known = [body["visible"] for body in bodies if "visible" in body]
-    if not known:
-        return f"0 of {len(bodies)}"
-    text = f"{len(known)} of {len(bodies)}, {_mean_absolute(bodies):.2%}"
-    stated = [one for one in known if one["holds"] is not None]
-    if stated:
-        width = np.median([one["width"] for one in stated])
-        text += f", {sum(one['holds'] for one in stated)} hold, {width:.1%}"
-    return text
+    off, holds, width = _errors(bodies, "visible")
+    text = f"{off.size} of {len(bodies)}" + (f", {np.abs(off).mean():.2%}" if off.size else "")
+    return text + (f", {sum(holds)} hold, {width:.1%}" if holds else "")
+
+
+def _volume(bodies: Rows, which: str) -> str:
+    off, holds, width = _errors(bodies, which)
+    split = sum(body["products"] > 1 for body in bodies)
+    text = f"{off.size} of {len(bodies)} measured" + (f", {split} split" if split else "")
+    if not off.size:
+        return text
+    interval = f"{sum(holds)} of {len(holds)} intervals hold, median width {width:.2%}"
+    return (
+        f"{text}; mean {off.mean():+.2%}, mean absolute {np.abs(off).mean():.2%}, "
+        f"largest {np.abs(off).max():.2%}; {interval if holds else 'no interval stated'}"
+    )
 
 
 def _rig_rows(one: Row) -> list[list[str]]:
-    name = one["rig"]
+    name, rows = one["rig"], list[list[str]]()
     if "fault" in one:
         return [[name, "whole rig", "", f"left out: {one['fault']}"]]
-    rows = []
+
+    def add(what: str, by: str, result: str) -> None:
+        rows.append([name, what, by, result])
+
     for target, found in one["calibration"].items():
         if found:
-            rows.append([name, "calibration", target, _calibration(found)])
+            add("calibration", target, _calibration(found))
     for extractor, found in one["peaks"].items():
         for where in ("body", "belt"):
-            rows.append([name, f"peaks on {where}", extractor, _peaks(found, where)])
+            add(f"peaks on {where}", extractor, _peaks(found, where))
     by = "; the calibration is the true one" if one["labels_by_true_calibration"] else ""
     labelled: dict[str, str] = {}
     for chain, found in one["chains"].items():
         if "refused" in found:
-            rows.append([name, "measuring", chain, f"not run: {found['refused']}"])
+            add("measuring", chain, f"not run: {found['refused']}")
             continue
-        for kind, bodies in _kinds(found["bodies"]).items():
-            text = _labels(bodies) + (by if chain != "paper" else "")
-            if labelled.get(kind) != text:  # chains that code alike are told once
-                rows.append([name, f"labels, {kind}", chain, text])
-            labelled[kind] = text
-            rows.append([name, f"visible volume, {kind}", chain, _volume(bodies, "visible")])
+        kinds = _kinds(found["bodies"])
+        labels = {kind: _labels(bodies) + (by if chain != "paper" else "") for kind, bodies in kinds.items()}
+        for kind, bodies in kinds.items():
+            if labelled.get(kind) != labels[kind]:  # chains that code alike are told once
+                add(f"labels, {kind}", chain, labels[kind])
+            add(f"visible volume, {kind}", chain, _volume(bodies, "visible"))
             if any("true" in body for body in bodies):
-                rows.append([name, f"true volume, {kind}", chain, _volume(bodies, "true")])
+                add(f"true volume, {kind}", chain, _volume(bodies, "true"))
             if any(body["grade"]["said"] for body in bodies):
-                rows.append([name, f"grade, {kind}", chain, _grades(bodies)])
-        text = _all_peaks(found["bodies"].values())
-        if labelled.get("all peaks") != text:
-            rows.append([name, "labels, all peaks", chain, text])
-        labelled["all peaks"] = text
-    rows += [[name, "fault", "", fault] for fault in one["faults"]]
+                add(f"grade, {kind}", chain, _grades(bodies))
+        labels["all peaks"] = _all_peaks(found["bodies"].values())
+        if labelled.get("all peaks") != labels["all peaks"]:
+            add("labels, all peaks", chain, labels["all peaks"])
+        labelled |= labels
+    for fault in one["faults"]:
+        add("fault", "", fault)
     return rows
 
 
@@ -160,66 +171,55 @@ def _peaks(found: Row, where: str) -> str:
     )
 
 
-def _labels(bodies: Iterable[Row]) -> str:
+_LABELS = (
+    "{right:.2%} right, {wrong:.0f} ppm wrong, {refused:.2%} refused of {seen:.0f} points; "
+    "{unseen:.2%} have no peak"
+)
+
+
+def _summed(bodies: Iterable[Row]) -> Counter[str]:
+    total = Counter[str]()
+    for body in bodies:
+        total.update(body["labels"])
+    return total
+
+
+def _labels(bodies: Iterable[Row], words: str = _LABELS) -> str:
     total = _summed(bodies)
-    seen = max(total.get("visible", 0) - total.get("unseen", 0), 1)
-    unseen = total.get("unseen", 0) / max(total.get("visible", 0), 1)
-    return (
-        f"{total.get('right', 0) / seen:.2%} right, {1e6 * total.get('wrong', 0) / seen:.0f} ppm wrong, "
-        f"{total.get('refused', 0) / seen:.2%} refused of {seen:.0f} points; {unseen:.2%} have no peak"
-    )
+    seen = max(total["visible"] - total["unseen"], 1)
+    return words.format(
+        right=total["right"] / seen, wrong=1e6 * total["wrong"] / seen, refused=total["refused"] / seen,
+        seen=seen, unseen=total["unseen"] / max(total["visible"], 1),
+    )  # fmt: skip
 
 
 def _all_peaks(bodies: Iterable[Row]) -> str:
     total = _summed(bodies)
     names = ("peaks_wrong", "peaks_stray", "peaks_at_rims", "peaks")
-    wrong, stray, rims, count = (round(total.get(name, 0)) for name in names)
+    wrong, stray, rims, count = (round(total[name]) for name in names)
     return f"{wrong} wrong, {stray} stray, {rims} at rims of {count} labelled, belt and edges included"
-
-
-def _summed(bodies: Iterable[Row]) -> dict[str, float]:
-    total: dict[str, float] = {}
-    for body in bodies:
-        for key, value in body["labels"].items():
-            total[key] = total.get(key, 0) + value
-    return total
-
-
-def _volume(bodies: Sequence[Row], which: str) -> str:
-    known = [body[which] for body in bodies if which in body and math.isfinite(body[which]["error"])]
-    split = sum(body["products"] > 1 for body in bodies)
-    parts = f", {split} split" if split else ""
-    if not known:
-        return f"0 of {len(bodies)} measured{parts}"
-    off = np.array([one["error"] for one in known])
-    stated = [one for one in known if one["holds"] is not None]
-    interval = "no interval stated"
-    if stated:
-        width, held = np.median([one["width"] for one in stated]), sum(one["holds"] for one in stated)
-        interval = f"{held} of {len(stated)} intervals hold, median width {width:.2%}"
-    return (
-        f"{len(known)} of {len(bodies)} measured{parts}; mean {off.mean():+.2%}, mean absolute "
-        f"{np.abs(off).mean():.2%}, largest {np.abs(off).max():.2%}; {interval}"
-    )
 
 
 def grade_of(said: str | None, true: str) -> str:
     """Judge one grade: right, wrong, unknown or none."""
     if said is None:
         return "none"
-    if true == NO_SKEIN:  # a body that no class describes: `unknown` is the right answer
-        return "right" if said == "unknown" else "wrong"
-    if said == "unknown":
-        return "unknown"
+    if said == "unknown":  # the right answer for a body that no class describes
+        return "right" if true == NO_SKEIN else "unknown"
     if said == DEFECTIVE:  # the paper's word for any defect
-        return "wrong" if true == "good" else "right"
+        return "wrong" if true in ("good", NO_SKEIN) else "right"
     return "right" if said == true else "wrong"
 
 
-def _grades(bodies: Iterable[Row]) -> str:
+def _judged(bodies: Rows) -> list[int]:
+    """Count the grades by verdict."""
+    judged = [grade_of(body["grade"]["said"], body["grade"]["true"]) for body in bodies]
+    return [judged.count(verdict) for verdict in VERDICTS]
+
+
+def _grades(bodies: Rows) -> str:
+    counts = ", ".join(f"{n} {verdict}" for verdict, n in zip(VERDICTS, _judged(bodies), strict=True))
     said = [(body["grade"]["said"], body["grade"]["true"]) for body in bodies]
-    judged = [grade_of(*one) for one in said]
-    counts = ", ".join(f"{judged.count(name)} {name}" for name in VERDICTS)
     good = [one for one, true in said if true == "good"]
     bad = [one for one, true in said if true not in ("good", NO_SKEIN)]
     if not good and not bad:
@@ -228,12 +228,7 @@ def _grades(bodies: Iterable[Row]) -> str:
     return f"{counts}; good kept {good.count('good')} of {len(good)}, defects caught {caught} of {len(bad)}"
 
 
-def shortened(text: str, length: int = 70) -> str:
-    """Give the beginning of a sentence; all of it stands in the JSON."""
-    return text if len(text) <= length else text[:length].rsplit(" ", 1)[0] + " …"
-
-
-def _bodies(results: Sequence[Row]) -> Table:
+def _bodies(results: Rows) -> Table:
     """Give a row for each body, the worst first."""
     rows = []
     for one in results:
@@ -253,6 +248,11 @@ def _body(body: Row) -> list[str]:
         volume = f"{body['visible']['error']:+.2%}"
         held += "" if math.isnan(body["visible"]["width"]) else f", {body['visible']['width']:.2%} wide"
     else:
-        volume, held = f"refused: {shortened(body['refused'])}", ""
+        volume, held = f"refused: {_shortened(body['refused'])}", ""
     grade = f"{body['grade']['said'] or '–'}, {body['grade']['true']}"
     return [volume, held, f"{label['right'] / seen:.2%}", f"{label['wrong'] / seen:.3%}", grade]
+
+
+def _shortened(text: str, length: int = 70) -> str:
+    """Give the beginning of a sentence; all of it stands in the JSON."""
+    return text if len(text) <= length else text[:length].rsplit(" ", 1)[0] + " …"

@@ -7,14 +7,16 @@ without outliers: it comes from no extractor.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.real_images import folder_of, prepared, sound
+from benchmarks.real_images import prepared, sound
 from benchmarks.tables import Table, number
 from roemetry.records.arrays import Floats
 from roemetry.stages import Extractor
@@ -25,14 +27,9 @@ CHANNELS = ("grey", "red", "green")
 _PLATE = (-1.5, 7.5)
 
 
-def boards(stages: Mapping[str, Extractor[Any]]) -> Table | str:
-    """Judge extractors on the boards; or say why not."""
-    home = folder_of("laser_on_circle_grid")
-    if home is None:
-        return "laser_on_circle_grid is not there: set ROEMETRY_REAL_DATA"
-    share: dict[tuple[str, str], list[float]] = {}
-    extra: dict[tuple[str, str], list[float]] = {}
-    scatter: dict[tuple[str, str], list[float]] = {}
+def boards(home: Path, stages: Mapping[str, Extractor[Any]]) -> Table:
+    """Judge extractors on the boards, whose images are in a folder."""
+    found: dict[tuple[str, str], list[tuple[float, float, float]]] = defaultdict(list)
     for pose in range(POSES):
         dark = cv2.imread(str(home / "calib_picture" / f"calib{pose}.jpg"))
         lit = cv2.imread(str(home / "light_picture" / f"light{pose}.jpg"))
@@ -45,33 +42,20 @@ def boards(stages: Mapping[str, Extractor[Any]]) -> Table | str:
                 near = np.abs(x_px - line[row]) <= NEAR_PX
                 seen = np.zeros(line.size, bool)
                 seen[row[near]] = True
-                key = name, channel
-                share.setdefault(key, []).append(100.0 * seen[on_board].mean())
-                others = on_board[row] & ~near
-                extra.setdefault(key, []).append(float(others.sum()) / on_board.sum())
-                scatter.setdefault(key, []).append(roughness(row[near], x_px[near]))
-    return Table(
-        "Red line on 12 boards, laser-off image taken away",
-        [
-            "extractor",
-            *(
-                f"{channel}: found over the width, %: worst (mean); others a column; roughness, px"
-                for channel in CHANNELS
-            ),
-        ],
-        [
-            [
-                name,
-                *(
-                    f"{min(share[name, channel]):.1f} ({np.mean(share[name, channel]):.1f}); "
-                    f"{number(float(np.mean(extra[name, channel])), 2)}; "
-                    f"{number(float(np.median(scatter[name, channel])), 2)}"
-                    for channel in CHANNELS
-                ),
-            ]
-            for name in stages
-        ],
-    )
+                others = float((on_board[row] & ~near).sum()) / on_board.sum()
+                share = 100.0 * seen[on_board].mean()
+                found[name, channel].append((share, others, roughness(row[near], x_px[near])))
+    rows = []
+    for name in stages:
+        cells = [name]
+        for channel in CHANNELS:
+            shares, others, scatter = np.array(found[name, channel]).T
+            told = f"{shares.min():.1f} ({shares.mean():.1f}); {number(float(others.mean()), 2)}"
+            cells.append(f"{told}; {number(float(np.median(scatter)), 2)}")
+        rows.append(cells)
+    what = "found over the width, %: worst (mean); others a column; roughness, px"
+    head = ["extractor", *(f"{channel}: {what}" for channel in CHANNELS)]
+    return Table("Red line on 12 boards, laser-off image taken away", head, rows)
 
 
 def line_on_board(dark: NDArray[Any], lit: NDArray[Any]) -> Floats:
@@ -100,12 +84,9 @@ def circles(dark: NDArray[Any]) -> NDArray[np.float32]:
     """Find the 7 × 7 circles, row by row."""
     settings = cv2.SimpleBlobDetector_Params()
     settings.minArea, settings.maxArea = 200.0, 8000.0
-    found, centres = cv2.findCirclesGrid(
-        cv2.cvtColor(dark, cv2.COLOR_BGR2GRAY),
-        (7, 7),
-        flags=cv2.CALIB_CB_SYMMETRIC_GRID,
-        blobDetector=cv2.SimpleBlobDetector_create(settings),
-    )
+    grey, blobs = cv2.cvtColor(dark, cv2.COLOR_BGR2GRAY), cv2.SimpleBlobDetector_create(settings)
+    how = {"flags": cv2.CALIB_CB_SYMMETRIC_GRID, "blobDetector": blobs}
+    found, centres = cv2.findCirclesGrid(grey, (7, 7), **how)
     if not found:
         raise SystemExit("the circles of a board were not found")
     return np.asarray(centres).reshape(-1, 2)

@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.real_images import folder_of, prepared, sound
+from benchmarks.real_images import prepared, sound
 from benchmarks.tables import Table, number, percent
 from roemetry.errors import RoemetryError
 from roemetry.records import Peaks
@@ -35,11 +36,8 @@ _AROUND_PX, _CORNER_PX = 14, 6  # of the marks: where light is the line's; where
 _ABOVE = 15.0  # grey levels above the column's median, that are light
 
 
-def weld(stages: Mapping[str, Extractor[Any]]) -> Table | str:
-    """Judge extractors on the weld; or say why not."""
-    home = folder_of("weld_mit")
-    if home is None:
-        return "weld_mit is not there: set ROEMETRY_REAL_DATA"
+def weld(home: Path, stages: Mapping[str, Extractor[Any]]) -> Table:
+    """Judge extractors on the weld, whose images are in a folder."""
     image = cv2.imread(str(home / "weld2.png"))
     frame = prepared(image, turn_deg=90, channel="max")
     columns = image.shape[1]
@@ -55,36 +53,23 @@ def weld(stages: Mapping[str, Extractor[Any]]) -> Table | str:
                 label = f"{name}, widths to {limit:.0f} px"
             peaks = used.extract(frame)
             row, x_px = sound(peaks)
-            near = np.abs(x_px - line[row]) <= NEAR_PX
+            off = np.abs(x_px - line[row])
+            near, lit = off <= NEAR_PX, np.isfinite(line)
             seen = np.zeros(columns, bool)
             seen[row[near]] = True
-            lit = np.isfinite(line)
-            off = np.abs(x_px - line[row])[near]
-            profile = profile_of(peaks, line)
-            rows.append(
-                [
-                    label,
-                    f"{percent(int((seen & lit).sum()), int(lit.sum()))} of {int(lit.sum())}",
-                    number(float(np.median(off)) if off.size else float("nan"), 2),
-                    str(int((~near).sum())),
-                    str(int(np.unique(row[~near]).size)),
-                    str(int(near.sum() - seen.sum())),
-                    profile,
-                ]
-            )
-    return Table(
-        f"Weld groove: the line as marked by hand, ± {NEAR_PX:.0f} px",
-        [
-            "extractor",
-            "columns of the line found, %",
-            "median distance from it, px",
-            "peaks off the line",
-            "columns with such",
-            "second peaks on the line",
-            "profile: stripes; columns of the line, %; points off the line",
-        ],
-        rows,
-    )
+            count = int(lit.sum())
+            rows.append([
+                label, f"{percent(int((seen & lit).sum()), count)} of {count}",
+                number(float(np.median(off[near])) if near.any() else float("nan"), 2),
+                str(int((~near).sum())), str(int(np.unique(row[~near]).size)),
+                str(int(near.sum() - seen.sum())), profile_of(peaks, line),
+            ])  # fmt: skip
+    head = [
+        "extractor", "columns of the line found, %", "median distance from it, px", "peaks off the line",
+        "columns with such", "second peaks on the line",
+        "profile: stripes; columns of the line, %; points off the line",
+    ]  # fmt: skip
+    return Table(f"Weld groove: the line as marked by hand, ± {NEAR_PX:.0f} px", head, rows)
 
 
 def line_of(image: NDArray[Any]) -> Floats:

@@ -2,9 +2,20 @@
 
 The other program's lines run on through the black band of the image, which must have been painted over
 later, so only those of its points count that have light. Which of these have a stripe's middle under them was
-judged by eye (`benchmarks.real_images.wheelset_points`). Where a stripe runs along the rows it has no
+judged by eye. Where a stripe runs along the rows it has no
 centre in them: each point is looked for either in the image as it is or in the image turned by 90°, in
 whichever the line is steeper.
+
+The other program's points that our extractors did not match were judged by eye: `wheelset_points.csv` holds
+every point that any of `gaussian`, `maximum-likelihood`, `log-parabola`, `centre-of-gravity` and `steger` was
+more than 3 px away from when it was made. Each was looked at ten times as large, with the other program's
+line and a bar of 3 px to either side, without any peaks of ours; one that is not in the file is a `stripe`:
+
+- ``stripe``: the middle of the stripe lies within 3 px, as the eye carries the stripe on through glare and
+  where paint cuts its end off slantwise; also whatever was in doubt
+- ``beside``: the middle lies farther away: the line fans out into a corner, or bends off to the border
+- ``border``: the stripe's middle has left the image: the row shows a flank. It was taken to lie half of the
+  stripe's width from the flank; the width is that of the nearest rows in which both flanks are to be seen
 
 The marks (`wheelset_marks.csv`): in 100 rows and 100 columns, evenly spaced, each run of at least 3 pixels
 above grey level 30 was proposed by a program, drawn over the image at three times its size, and judged by
@@ -22,7 +33,7 @@ run.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,13 +42,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.real_images import folder_of, prepared, sound
-from benchmarks.real_images.wheelset_points import have_stripe, verdicts
+from benchmarks.real_images import prepared, sound
 from benchmarks.tables import Table, number, percent
 from roemetry.records import Frame
 from roemetry.stages import Extractor
 
 MARKS = Path(__file__).with_name("wheelset_marks.csv")
+POINTS = Path(__file__).with_name("wheelset_points.csv")
 MATCH_PX = 3.0
 _LIT = 60
 _NEAR_PX = 13
@@ -54,11 +65,8 @@ class Marked:
     verdict: str
 
 
-def wheelset(stages: Mapping[str, Extractor[Any]]) -> Table | str:
-    """Judge extractors on the wheel set; or say why not."""
-    home = folder_of("multi_stripe")
-    if home is None:
-        return "multi_stripe is not there: set ROEMETRY_REAL_DATA"
+def wheelset(home: Path, stages: Mapping[str, Extractor[Any]]) -> Table:
+    """Judge extractors on the wheel set, whose images are in a folder."""
     image = cv2.imread(str(home / "wheelset.jpg"))
     centres = cv2.imread(str(home / "wheelset_author_centres.png"))
     rows = []
@@ -78,30 +86,19 @@ def wheelset(stages: Mapping[str, Extractor[Any]]) -> Table | str:
         away = np.array(off)
         matched = away <= MATCH_PX
         stripes, hit, extra, twice, glare, unlit = counts
-        rows.append(
-            [
-                name,
-                f"{100.0 * matched.mean():.1f} of {matched.size}",
-                f"{100.0 * matched[there].mean():.1f} of {sum(there)}",
-                number(float(np.median(away[np.isfinite(away)])), 2),
-                f"{percent(hit, stripes)} of {stripes}",
-                percent(extra, hit + extra),
-                f"{twice} / {glare} / {unlit}",
-            ]
-        )
-    return Table(
-        "Wheel set: another program's lit centres, and 200 rows and columns marked by hand",
-        [
-            "extractor",
-            f"its points within {MATCH_PX:.0f} px, %",
-            "of those with a stripe's middle under them, %",
-            "median distance, px",
-            "marked crossings found, %",
-            "false among the peaks judged, %",
-            "twice on one stripe / on glare / on no light",
-        ],
-        rows,
-    )
+        rows.append([
+            name, f"{100.0 * matched.mean():.1f} of {matched.size}",
+            f"{100.0 * matched[there].mean():.1f} of {sum(there)}",
+            number(float(np.median(away[np.isfinite(away)])), 2), f"{percent(hit, stripes)} of {stripes}",
+            percent(extra, hit + extra), f"{twice} / {glare} / {unlit}",
+        ])  # fmt: skip
+    head = [
+        "extractor", f"its points within {MATCH_PX:.0f} px, %",
+        "of those with a stripe's middle under them, %", "median distance, px", "marked crossings found, %",
+        "false among the peaks judged, %", "twice on one stripe / on glare / on no light",
+    ]  # fmt: skip
+    title = "Wheel set: another program's lit centres, and 200 rows and columns marked by hand"
+    return Table(title, head, rows)
 
 
 def lit_centres(centres: NDArray[Any], frame: Frame, turn_deg: int) -> Iterable[tuple[int, float]]:
@@ -138,20 +135,33 @@ def distances(
     return [float(np.abs(x_px[begin[y] : begin[y + 1]] - x).min(initial=np.inf)) for y, x in wanted]
 
 
-def marks(turn_deg: int, rows: int) -> list[Marked]:
-    """Read the marks of the rows (0°) or of the columns, turned as the image is (90°)."""
+def _by_eye(path: Path, turn_deg: int, rows: int) -> Iterator[tuple[int, dict[str, str]]]:
+    """Read what was judged in the rows (0°) or in the columns (90°), by row of the turned image."""
     axis = "row" if turn_deg == 0 else "column"
-    with MARKS.open(encoding="utf-8", newline="") as lines:
-        found = [each for each in csv.DictReader(lines) if each["axis"] == axis]
+    with path.open(encoding="utf-8", newline="") as lines:
+        for each in csv.DictReader(lines):
+            if each["axis"] == axis:
+                index = int(each["index"])
+                yield index if turn_deg == 0 else rows - 1 - index, each
+
+
+def marks(turn_deg: int, rows: int) -> list[Marked]:
+    """Give the marks of the rows or of the columns."""
     return [
-        Marked(
-            int(each["index"]) if turn_deg == 0 else rows - 1 - int(each["index"]),
-            float(each["first"]),
-            float(each["last"]),
-            each["verdict"],
-        )
-        for each in found
+        Marked(index, float(each["first"]), float(each["last"]), each["verdict"])
+        for index, each in _by_eye(MARKS, turn_deg, rows)
     ]
+
+
+def verdicts(turn_deg: int, rows: int) -> dict[tuple[int, float], str]:
+    """Give the verdicts on the other program's points, by (row, x)."""
+    found = _by_eye(POINTS, turn_deg, rows)
+    return {(index, float(each["place"])): each["verdict"] for index, each in found}
+
+
+def have_stripe(wanted: Sequence[tuple[int, float]], judged: dict[tuple[int, float], str]) -> list[bool]:
+    """Tell which points have a stripe's middle under them; those that were not judged have."""
+    return [judged.get(point, "stripe") == "stripe" for point in wanted]
 
 
 def judged(

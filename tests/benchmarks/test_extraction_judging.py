@@ -9,8 +9,8 @@ import pytest
 
 drawing = pytest.importorskip("benchmarks.extraction.drawing", reason="only in a checkout")
 
-from benchmarks.extraction import bias, compiled, methods, peers, scoring  # noqa: E402
-from benchmarks.extraction.bounds import bound_px  # noqa: E402
+from benchmarks.extraction import judging, methods, peers  # noqa: E402
+from benchmarks.extraction.drawing import bound_px  # noqa: E402
 
 SIZE = (60, 400)
 
@@ -87,14 +87,14 @@ def test_peaks_are_matched_as_described() -> None:
     truth.lit[0, 10:20] = False
     row = np.array([0, 0, 1, 2, 12, 30.5])
     x_px = np.array([100.5, 101.5, 103.0, 98.5, 100.0, 100.1])
-    found = scoring.hits(truth, scoring.Found(row, x_px, np.full(6, 0.1)))
+    found = drawing.hits(truth, drawing.Found(row, x_px, np.full(6, 0.1)))
     assert found.error_px[0, 0] == pytest.approx(0.5), "the nearer of two"
     assert np.isnan(found.error_px[0, 1]), "3 px away is another thing"
     assert found.error_px[0, 2] == pytest.approx(-1.5)
     assert np.isnan(found.error_px[0, 12]), "a peak in a gap"
     assert found.false == 3
     assert found.missed == found.lit - 3 == 47
-    empty = scoring.hits(truth, scoring.Found(*(np.empty(0),) * 3))
+    empty = drawing.hits(truth, drawing.Found(*(np.empty(0),) * 3))
     assert (empty.missed, empty.false) == (50, 0)
 
 
@@ -102,30 +102,30 @@ def test_peaks_are_matched_as_described() -> None:
 def test_recipes_of_others_are_given_their_best(recipe: str, rng) -> None:
     """The peers find everything on clean images: a weak rival would flatter ours."""
     drawn = drawing.drawn_set("clean", drawing.SIZES["VGA"], rng)
-    found = scoring.hits(drawn.stripes, getattr(peers, recipe)(drawn.pixels))
+    found = drawing.hits(drawn.stripes, getattr(peers, recipe)(drawn.pixels))
     assert found.missed == 0
     assert found.false <= 2
     judged = ~drawn.saturated
     limit = 5.0 if recipe.startswith("scipy") else 2.0
-    assert scoring.rms(found.error_px[judged]) < limit * scoring.rms(bound_px(drawn)[judged])
+    assert drawing.rms(found.error_px[judged]) < limit * drawing.rms(bound_px(drawn)[judged])
 
 
-@pytest.mark.skipif(compiled.COMPILER is None, reason="no C++ compiler")
+@pytest.mark.skipif(peers.COMPILER is None, reason="no C++ compiler")
 @pytest.mark.parametrize(("reach", "weighted"), [(2, False), (4, True)])
 def test_the_first_try_in_cpp_finds_what_it_should(reach: int, weighted: bool, rng) -> None:
     drawn = drawing.drawn_set("clean", drawing.SIZES["VGA"], rng)
-    found = scoring.hits(drawn.stripes, compiled.compiled(reach, weighted=weighted)(drawn.pixels))
+    found = drawing.hits(drawn.stripes, peers.compiled(reach, weighted=weighted)(drawn.pixels))
     assert found.missed <= 5
     assert found.false <= 5
     judged = ~drawn.saturated
-    assert scoring.rms(found.error_px[judged]) < 2.0 * scoring.rms(bound_px(drawn)[judged])
+    assert drawing.rms(found.error_px[judged]) < 2.0 * drawing.rms(bound_px(drawn)[judged])
 
 
 def test_bias_is_the_largest_mean_with_its_sign() -> None:
-    by_image = np.zeros((4, 3, 3, bias.PHASES))
+    by_image = np.zeros((4, 3, 3, judging.PHASES))
     by_image[:, 1, 2, 3] = -0.02
     by_image[:, 0, 0, 0] = [0.01, 0.02, 0.01, 0.02]
-    largest, error = bias.summary(by_image)
+    largest, error = judging.summary(by_image)
     assert largest == "−0.0200"
     assert float(error) > 0.0
 

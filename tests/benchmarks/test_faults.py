@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.disturbances import DISTURBANCES, Scene
-from benchmarks.faults import Case, harmless, measured, summary, table
-from benchmarks.faults_curves import draw
+from benchmarks.faults import Case, draw, harmless, measured, summary, verdicts
 from benchmarks.kills import killed
 from roemetry import Recipe
 
@@ -22,7 +21,7 @@ def test_no_disturbed_skein_is_measured_far_outside_its_interval(tmp_path: Path)
     asked.jobs, asked.cluster = 1, None
     found = list(measured(asked, done=0))
     assert [case for case in found if case.verdict == "gross"] == []
-    assert sum(case.lies for case in found) <= 1, table(found)
+    assert sum(case.lies for case in found) <= 1, verdicts(found)
     assert [case for case in found if harmless(case) and case.verdict == "refused"] == []
     assert "36 disturbed cases" in summary(found)
     draw(tmp_path / "curves.svg", found)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
 wheelset = pytest.importorskip("benchmarks.real_images.wheelset", reason="only in a checkout")
-points = pytest.importorskip("benchmarks.real_images.wheelset_points", reason="only in a checkout")
 
-from benchmarks.real_images import boards, folder_of, prepared, weld  # noqa: E402
+from benchmarks import extract_real  # noqa: E402
+from benchmarks.real_images import boards, folder_of, prepared  # noqa: E402
 
 
-def test_absent_images_are_told(monkeypatch, tmp_path) -> None:
+def test_absent_images_are_told(monkeypatch, tmp_path, capsys) -> None:
     monkeypatch.setenv("ROEMETRY_REAL_DATA", str(tmp_path))
-    for judge in (wheelset.wheelset, weld.weld, boards.boards):
-        assert "ROEMETRY_REAL_DATA" in judge({})
+    monkeypatch.setattr(sys, "argv", ["extract_real", "--methods", "gaussian"])
+    extract_real.main()
+    assert capsys.readouterr().err.count("ROEMETRY_REAL_DATA") == len(extract_real.PARTS) == 3
     assert folder_of("weld_mit") is None
 
 
@@ -55,14 +58,14 @@ def test_another_programs_points_count_where_steep_and_lit() -> None:
 
 def test_points_judged_by_eye_are_those_of_the_image_as_it_is_turned() -> None:
     """The file holds rows and columns; a column of the image is a row of the turned one, from the last on."""
-    upright, turned = points.verdicts(0, 672), points.verdicts(90, 800)
+    upright, turned = wheelset.verdicts(0, 672), wheelset.verdicts(90, 800)
     assert len(upright) + len(turned) == 439
     assert {*upright.values(), *turned.values()} == {"stripe", "beside", "border"}
     assert upright[243, 0.5] == "border" and turned[799 - 401, 0.0] == "beside"
-    with points.POINTS.open() as lines:
+    with wheelset.POINTS.open() as lines:
         assert "column,401,0,beside\n" in lines
     wanted = [(243, 0.5), (799 - 401, 0.0), (300, 400.0)]
-    assert points.have_stripe(wanted, upright) == [False, True, True], "what was not judged has a stripe"
+    assert wheelset.have_stripe(wanted, upright) == [False, True, True], "what was not judged has a stripe"
 
 
 def test_turned_marks_lie_where_the_turned_image_has_them() -> None:

@@ -7,12 +7,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from benchmarks.grading.judges import GOOD, fitted_limits, rules_of
-from benchmarks.grading.scores import Judged, score_of
+from benchmarks.grading.judges import GOOD, Judged, fitted_limits, rules_of, score_of
 from benchmarks.tables import confusion
-from benchmarks.traced import Row, Traced, traced
-from benchmarks.traced.causes import CAUSES, weight_figures
-from benchmarks.traced.shown import defect_figures
+from benchmarks.traced import CAUSES, Row, Traced, defect_figures, traced, weight_figures
 from roemetry_shape.fuzzy_rules import FuzzyRules
 from roemetry_shape.shape_limits import ShapeLimits
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 coded = pytest.importorskip("benchmarks.coded", reason="only in a checkout")
-from benchmarks.coded.products import in_view  # noqa: E402
+from benchmarks.coded import in_view  # noqa: E402
 from roemetry.records import Peaks  # noqa: E402
 from roemetry_coding.planes import Planes  # noqa: E402
+from roemetry_tools.compare.stripes import nearest  # noqa: E402
 
 OF_PEAKS = ("row", "x_px", "x_std_px", "amplitude", "background", "width_px", "flags")
 
@@ -44,7 +45,7 @@ def test_a_dead_stripe_costs_only_its_own_points() -> None:
     traced = coded.crossings_of(rig.camera, rig.laser, in_view(coded.skein(6_000_120, coded.KINDS[0]), rig))
     whole = coded.sample_from(rig, traced, seed=6_000_127)
     peaks, true = whole.peaks, whole.crossings
-    of = coded.scoring.nearest(peaks.row, peaks.x_px, true.row, true.x_px)
+    of = nearest(peaks.row, peaks.x_px, true.row, true.x_px)
     stripe = np.where(of >= 0, true.stripe[of], -1)
     before = Planes().code(peaks, whole.calibration).peak_stripe
     kept = []

@@ -1,4 +1,4 @@
-"""The benchmark's curves, as SVG files that stand alone."""
+"""Pictures as SVG files that stand alone: curves by name, and what else is drawn of elements."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from roemetry.html import plots as svg
 Points = Sequence[tuple[float, float]]
 
 _COLOURS = ("#0d689c", "#a65a00", "#187059", "#b71d7c", "#5a4fcf", "#726317", "#7a3b1d", "#44525f", "#d0453b")
-_STYLE = Markup(
-    "<style>text{font:12px system-ui,sans-serif;fill:#3c434c;text-anchor:middle}"
+_STYLE = (
+    "text{font:12px system-ui,sans-serif;fill:#3c434c;text-anchor:middle}"
     ".start{text-anchor:start}.end{text-anchor:end}.grid{stroke:#d9dee4;fill:none}"
     ".axis{stroke:#8a93a0;fill:none}.line{fill:none;stroke-width:2}.ground{fill:#fff}"
-    ".goal{stroke:#8a93a0;stroke-dasharray:4 3;fill:none}</style>"
+    ".goal{stroke:#8a93a0;stroke-dasharray:4 3;fill:none}"
 )
 _WIDTH, _LEFT, _TOP, _FLOOR = 660.0, 72.0, 28.0, 262.0
 
@@ -41,7 +41,7 @@ def curves(
     ys = [y for points in lines.values() for _, y in points]
     right = _WIDTH - 12.0
     x_axis = svg.Axis.over(min(xs), max(xs), _LEFT, right)
-    parts = [_STYLE, svg.box(0.0, 0.0, _WIDTH, _height(lines), "ground")]
+    parts: list[Markup] = []
     if low is None:
         y_axis = svg.Axis(0.0, 1.0, _FLOOR, _TOP)
         marks = y_axis.ticks(5)
@@ -71,16 +71,16 @@ def curves(
         svg.text(0.5 * (_LEFT + right), _FLOOR + 34.0, across),
         svg.text(_LEFT, _TOP - 12.0, up, "start"),
     ]
-    drawn_whole = svg.picture(parts, _height(lines), f"{up} over {across}", width=_WIDTH)
+    svg_file(path, parts, (_WIDTH, _FLOOR + 50.0 + 18.0 * len(lines)), f"{up} over {across}", _STYLE)
+
+
+def svg_file(path: Path, body: Sequence[Markup], size: tuple[float, float], label: str, style: str) -> None:
+    """Write elements on white ground, of a width and a height, with their style sheet."""
+    parts = [Markup("<style>{}</style>").format(Markup(style)), svg.box(0.0, 0.0, *size, "ground"), *body]
+    text = str(svg.picture(parts, size[1], label, width=size[0]))
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(
-        str(drawn_whole).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1) + "\n",
-        encoding="utf-8",
-    )
-
-
-def _height(lines: Mapping[str, Points]) -> float:
-    return _FLOOR + 50.0 + 18.0 * len(lines)
+    named = text.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
+    path.write_text(named + "\n", encoding="utf-8")
 
 
 def _power(k: int) -> str:
