@@ -14,14 +14,11 @@ from docs.reference_tables import markdown
 from roemetry.cli.main import app
 from roemetry.errors import PluginError
 from roemetry.records import Estimate
-from roemetry.stages import (
-    INTERFACES,
-    Capabilities,
-)
+from roemetry.stages import INTERFACES, Capabilities
 from roemetry.stages.hookspecs import StageEntry
 from roemetry.stages.registry import Provider, Registered, discover
 from roemetry.testing import LinearRig, checks_of, conformance, parametrize_stages, stages_named
-from roemetry.testing.checks import OF_KIND, name_of, sentence_of
+from roemetry.testing.checks import name_of
 from roemetry.testing.kit import parametrized, run_check
 from roemetry.testing.solids import BOX, HALF_CYLINDER, HALF_ELLIPSOID, SPHERICAL_CAP, product_of
 from roemetry.testing.verdict import difference
@@ -32,21 +29,12 @@ from roemetry_paper.dominant_peak import DominantPeak
 FAULTS: dict[str, str] = {}
 
 
+SMALL = {"width_px": 96, "height_px": 64, "pixel_size_um": 66.0}
+EGG = {"family": "egg"}
 OPTIONS = {
-    "mitsuba": {
-        "camera": {"width_px": 96, "height_px": 64, "pixel_size_um": 66.0},
-        "samples": 2,
-        "bounce_rays": 8,
-    },
-    "moving-belt": {
-        "camera": {"width_px": 96, "height_px": 64, "pixel_size_um": 66.0},
-        "scan": {"counts_per_line": 250},
-        "product": {"family": "egg"},
-    },
-    "ray-caster": {
-        "camera": {"width_px": 96, "height_px": 64, "pixel_size_um": 66.0},
-        "product": {"family": "egg"},
-    },
+    "mitsuba": {"camera": SMALL, "samples": 2, "bounce_rays": 8},
+    "moving-belt": {"camera": SMALL, "scan": {"counts_per_line": 250}, "product": EGG},
+    "ray-caster": {"camera": SMALL, "product": EGG},
 }
 """Of stages whose defaults take long: a scene of few pixels, a scan of few lines."""
 
@@ -59,9 +47,8 @@ def test_every_stage_keeps_every_check(stage, check) -> None:
 def test_a_declared_failure_must_happen() -> None:
     check = _check(DominantPeak, "check_brightness_does_not_matter")
     assert run_check(DominantPeak(), check, "fixed").outcome == "expected failure"
-    result = run_check(
-        DominantPeak(), _check(DominantPeak, "check_centres_are_right"), "it is said to be coarse"
-    )
+    right = _check(DominantPeak, "check_centres_are_right")
+    result = run_check(DominantPeak(), right, "it is said to be coarse")
     assert result.outcome == "unexpectedly passed"
     assert not result.as_declared
     assert "it is said to be coarse" in result.message
@@ -76,22 +63,18 @@ def registered(kind: str, target: str) -> Registered:
     return Registered(StageEntry(kind, "x", target, "for tests", "our own"), Provider("mine", "1.0", "mine"))
 
 
-def test_a_failure_of_an_unknown_check_cannot_be_declared() -> None:
+@pytest.mark.parametrize("key", ["dominant-peek/check_centres_are_right", "check_centers_are_right"])
+def test_a_declaration_that_fits_nothing_is_refused(key: str) -> None:
+    with pytest.raises(PluginError, match="did you mean `.*check_centres_are_right`"):
+        parametrize_stages("paper", {key: "typing"})
     stage = registered("extractor", "roemetry_paper.dominant_peak:DominantPeak")
     with pytest.raises(PluginError, match="did you mean `check_dark_rows_give_nothing`"):
         next(iter(conformance(stage, {"check_dark_row_gives_nothing": "typing"})))
 
 
-@pytest.mark.parametrize("key", ["dominant-peek/check_centres_are_right", "check_centers_are_right"])
-def test_a_declaration_that_fits_nothing_is_refused(key: str) -> None:
-    with pytest.raises(PluginError, match="did you mean `.*check_centres_are_right`"):
-        parametrize_stages("paper", {key: "typing"})
-
-
 def test_a_stage_that_lacks_something_is_skipped_with_the_reason() -> None:
-    entry = StageEntry(
-        "extractor", "x", "nowhere:X", "for tests", "our own", requires=(("no_such", "pip install no-such"),)
-    )
+    needs = (("no_such", "pip install no-such"),)
+    entry = StageEntry("extractor", "x", "nowhere:X", "for tests", "our own", requires=needs)
     mark = parametrized((Registered(entry, Provider("mine", "1.0", "mine")),))
     (case,) = mark.args[1]
     assert "pip install no-such" in case.marks[0].kwargs["reason"]
@@ -100,11 +83,7 @@ def test_a_stage_that_lacks_something_is_skipped_with_the_reason() -> None:
 @pytest.mark.parametrize(
     ("kind", "target", "says"),
     [
-        (
-            "coder",
-            "roemetry_paper.dominant_peak:DominantPeak",
-            r"does not inherit from `roemetry.stages.Coder`",
-        ),
+        ("coder", "roemetry_paper.dominant_peak:DominantPeak", r"not inherit from `roemetry.stages.Coder`"),
         ("extractor", "roemetry_paper.dominant_peak:Nothing", "cannot be imported"),
     ],
 )
@@ -137,12 +116,9 @@ def test_a_fixture_gives_what_the_kit_cannot_make(monkeypatch) -> None:
 
         def triangulate(self, stripes, calibration):
             own = calibration.parameters["mm_per_px_at_belt"]
-            known = replace(
-                calibration,
-                parameters={"omega_mm_per_px": 1.0 / calibration.displacement_px_per_mm, "mm_per_px": own},
-                covariance=np.zeros((8, 8)),
-            )
-            return super().triangulate(stripes, known)
+            known = {"omega_mm_per_px": 1.0 / calibration.displacement_px_per_mm, "mm_per_px": own}
+            whole = replace(calibration, parameters=known, covariance=np.zeros((8, 8)))
+            return super().triangulate(stripes, whole)
 
     def of_rig(rig: LinearRig):
         plain = rig.calibration()
@@ -192,18 +168,6 @@ def test_differences_are_named() -> None:
     assert difference(one, replace(one, budget={"scale": 0.6})) == "budget.scale is 0.5, then 0.6"
     found = difference({"a": np.array([1.0, np.nan])}, {"a": np.array([2.0, np.nan])})
     assert found == "a differs in 1 of 2 elements, first at (0,): 1.0, then 2.0"
-
-
-def test_every_check_is_a_sentence_of_its_own() -> None:
-    for kind in OF_KIND:
-        checks = checks_of(kind)
-        assert len({name_of(check) for check in checks}) == len(checks)
-        for check in checks:
-            sentence = sentence_of(check)
-            assert name_of(check).startswith("check_")
-            assert sentence[0].isupper()
-            assert sentence.endswith(".")
-            assert ". " not in sentence
 
 
 def test_the_page_lists_every_check(root) -> None:

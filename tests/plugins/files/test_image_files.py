@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import struct
 import zlib
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import tifffile
 
 from roemetry.errors import DataError
 from roemetry.records import Acquisition, Frame
@@ -29,29 +29,13 @@ def encoded(pixels: np.ndarray, suffix: str) -> bytes:
     return cv2.imencode(suffix, pixels)[1].tobytes()
 
 
-@pytest.mark.parametrize("orientation", [1, 2, 3, 4, 6, 8])
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
 def test_a_tiff_file_is_not_turned_as_viewers_would(
     orientation: int, pixels: np.ndarray, tmp_path: Path
 ) -> None:
-    data = encoded(pixels, ".tif")
-    (at,) = struct.unpack_from("<I", data, 4)
-    (count,) = struct.unpack_from("<H", data, at)
-    entries = {
-        data[at + 2 + 12 * k : at + 4 + 12 * k]: data[at + 2 + 12 * k : at + 14 + 12 * k]
-        for k in range(count)
-    }
-    entries[struct.pack("<H", 274)] = struct.pack("<HHIHH", 274, 3, 1, orientation, 0)
-    listed = b"".join(sorted(entries.values(), key=lambda entry: struct.unpack_from("<H", entry)))
-    turned = (
-        data[:4]
-        + struct.pack("<I", len(data))
-        + data[8:]
-        + struct.pack("<H", len(entries))
-        + listed
-        + bytes(4)
-    )
     path = tmp_path / "turned.tif"
-    path.write_bytes(turned)
+    tag = (274, "H", 1, orientation, True)
+    tifffile.imwrite(path, pixels[..., ::-1], photometric="rgb", extratags=[tag], metadata=None)
     for read in (lambda path: read_image(path).pixels, belt_image, decoded):
         np.testing.assert_array_equal(read(path), pixels)
 
@@ -109,7 +93,7 @@ def test_odd_names_and_things_that_are_no_file_are_listed_and_told(
             source.read(found[name])
 
 
-@pytest.mark.parametrize(("top", "bits"), [(4095, 12), (1023, 10), (16383, 14), (900, 10), (3000, 12)])
+@pytest.mark.parametrize(("top", "bits"), [(4095, 12), (900, 10), (16383, 14)])
 def test_bits_that_are_not_in_use_are_asked_for(top: int, bits: int) -> None:
     pixels = np.full((4, 6), 7, np.uint16)
     pixels[1, 2] = top

@@ -55,10 +55,9 @@ def test_a_table_that_is_missing_and_a_wrong_question_are_told(line: Any, tmp_pa
 
 def test_one_product_has_files_of_its_own(line: Any, tmp_path: Path) -> None:
     run_recipe(Recipe.load(line(3)), tmp_path / "out")
-    for name in ("p02", "p02#1"):
-        (table,) = said("report", tmp_path / "out", "--product", name).split()
-        rows = Path(table).read_text("utf-8").splitlines()
-        assert Path(table).parent.parent == tmp_path / "out"
-        assert [row.split(",")[0] for row in rows] == ["id", "p02#1"]
+    (table,) = said("report", tmp_path / "out", "--product", "p02").split()
+    rows = Path(table).read_text("utf-8").splitlines()
+    assert Path(table).parent.parent == tmp_path / "out"
+    assert [row.split(",")[0] for row in rows] == ["id", "p02#1"]
     with pytest.raises(OutputError, match="there is no product `p77`"):
         said("report", tmp_path / "out", "--product", "p77")

@@ -22,11 +22,13 @@ def scale(folder: Path, text: str, **options: float) -> Scale:
 
 
 def test_the_product_s_own_mass_goes_before_its_acquisition_s(tmp_path: Path) -> None:
-    product = product_of(HALF_ELLIPSOID)
+    product, volume = product_of(HALF_ELLIPSOID), volume_of(8000.0)
     weigher = scale(tmp_path, "id,mass_g\nscene,20\nscene#1,16\n")
-    assert weigher.weigh(product, volume_of(8000.0)).mass_g.value == 16.0
-    other = replace(product, number=2)
-    assert weigher.weigh(other, volume_of(8000.0)).mass_g.value == 20.0
+    assert weigher.weigh(product, volume).mass_g.value == 16.0
+    assert weigher.weigh(replace(product, number=2), volume).mass_g.value == 20.0
+    with pytest.raises(StageError, match=r"masses.csv has no mass of scene#1") as refused:
+        scale(tmp_path, "id,mass_g\nother,30\n").weigh(product, volume)
+    assert "scene#1,MASS" in str(refused.value.hint)
 
 
 def test_the_specific_volume_is_of_the_true_volume_where_that_is_known(tmp_path: Path) -> None:
@@ -47,12 +49,6 @@ def test_draws_scatter_as_the_scale_does(tmp_path: Path, rng: np.random.Generato
     drawn = [weigher.weigh(product, volume_of(8000.0), rng=rng).mass_g.value for _ in range(400)]
     assert abs(np.mean(drawn) - 30.0) < 0.05
     assert 0.17 < np.std(drawn) < 0.23
-
-
-def test_a_product_that_was_not_weighed_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(StageError, match=r"masses.csv has no mass of scene#1") as refused:
-        scale(tmp_path, "id,mass_g\nother,30\n").weigh(product_of(HALF_ELLIPSOID), volume_of(8000.0))
-    assert "scene#1,MASS" in str(refused.value.hint)
 
 
 @pytest.mark.parametrize(

@@ -13,22 +13,14 @@ from typer.testing import CliRunner
 from roemetry.cli.main import app
 from roemetry.records import Frame
 from roemetry.run.control_chart import Chart
-from roemetry_line import line_file
+from roemetry_line import line_file as line_file_module
 from roemetry_line.block_checks import BlockChecks, LaserHealth
 from roemetry_line.history import checks_of
 from roemetry_line.line_file import Line
 from roemetry_line.outbox import Outbox
+from roemetry_line.outlets.database import connect
+from tests.plugins.line.loopback import wait_for
 
-LINE = """\
-roemetry_line: 1
-name: line-1
-folder: data
-stations:
-  - name: one
-    recipe: recipe.yaml
-    check_block: block.yaml
-    feed: {use: folder-watch, options: {path: in}}
-"""
 BLOCK = "kind: block\nname: block-12\nlength_mm: 40\nwidth_mm: 25\nheight_mm: 12\ntolerance_mm: 0.02\n"
 
 
@@ -41,52 +33,40 @@ class Checked:
     checks: BlockChecks
     told: list[tuple[str, str]]
 
-    def until_told(self) -> None:
-        """Let the checks run without a frame until they say something."""
-        stop = threading.Event()
+    def until_told(self, frame: Frame | None = None) -> tuple[str, str]:
+        """Let the checks run, on this frame or none, until they say something; gives it."""
+        stop, before = threading.Event(), len(self.told)
         running = threading.Thread(target=self.checks.run, args=(stop,))
         running.start()
-        for _ in range(400):
-            if self.told:
-                break
-            stop.wait(0.02)
-        stop.set()
-        running.join()
+        try:
+            if frame is not None:
+                wait_for(lambda: self.checks.takes(frame), "no frame is taken")
+            wait_for(lambda: len(self.told) > before, "nothing is told")
+        finally:
+            stop.set()
+            running.join()
+        return self.told[-1]
 
     def after(self, frame: Frame) -> tuple[str, str]:
-        """Ask for a check, give a frame, and wait for what is told."""
         number = self.outbox.ask_check("one", "otto")
         assert self.outbox.ask_check("one", "erika") == number, "one is enough"
-        stop = threading.Event()
-        running = threading.Thread(target=self.checks.run, args=(stop,))
-        running.start()
-        before = len(self.told)
-        for _ in range(400):
-            if self.checks.takes(frame):
-                break
-            stop.wait(0.02)
-        for _ in range(1000):
-            if len(self.told) > before:
-                break
-            stop.wait(0.02)
-        stop.set()
-        running.join()
+        self.until_told(frame)
         assert not self.checks.takes(frame), "the next frame shows a product"
         assert self.outbox.last_check("one")["ended"] is not None
         return self.told[-1]
 
 
 @pytest.fixture
-def checked(line, monkeypatch):
+def checked(line_file, monkeypatch):
     monkeypatch.setattr("roemetry_line.block_checks._LOOK_S", 0.02)
-    recipe = line()
-    (recipe.parent / "block.yaml").write_text(BLOCK, "utf-8")
-    (recipe.parent / "line.yaml").write_text(LINE, "utf-8")
-    loaded = Line.load(recipe.parent / "line.yaml")
+    path = line_file(("recipe: recipe.yaml", "recipe: recipe.yaml\n    check_block: block.yaml"))
+    (path.parent / "block.yaml").write_text(BLOCK, "utf-8")
+    loaded = Line.load(path)
     outbox, told = Outbox(loaded.folder), list[tuple[str, str]]()
+    recipe = path.parent / "recipe.yaml"
     checks = BlockChecks(
         "one", loaded.stations[0].block, loaded.folder, outbox,
-        lambda: line_file.load_recipe(recipe, loaded.folder), lambda *given: told.append(given),
+        lambda: line_file_module.load_recipe(recipe, loaded.folder), lambda *given: told.append(given),
     )  # fmt: skip
     return Checked(loaded, outbox, checks, told)
 
@@ -117,8 +97,6 @@ def test_a_block_is_measured_when_somebody_asks(checked, rig, tmp_path) -> None:
         one.name for one in kept
     }
 
-    from roemetry_line.outlets.database import connect
-
     connect(checked.line.history_url).close()
     shown = CliRunner().invoke(app, ["history", str(checked.line.path), "--report", str(tmp_path / "h.html")])
     assert shown.exit_code == 0, shown.output
@@ -129,12 +107,17 @@ def test_a_block_is_measured_when_somebody_asks(checked, rig, tmp_path) -> None:
     assert page.count("<svg") == 3, "a chart for each length"
 
 
-def test_a_check_that_gets_no_frame_ends(checked, monkeypatch) -> None:
-    monkeypatch.setattr("roemetry_line.block_checks._FRAME_S", 0.05)
+@pytest.mark.parametrize("frame_s", [0.05, 0.0], ids=["in time", "asked for long ago"])
+def test_a_check_that_gets_no_frame_ends_and_takes_no_products_frame(
+    checked, rig, monkeypatch, frame_s
+) -> None:
+    monkeypatch.setattr("roemetry_line.block_checks._FRAME_S", frame_s)
     number = checked.outbox.ask_check("one", "otto")
-    checked.until_told()
-    assert checked.told == [("failed", "the check block was not measured: no frame came within 0.05 s")]
+    verdict, said = checked.until_told()
+    assert (verdict, said[:54]) == ("failed", "the check block was not measured: no frame came within")
+    assert len(checked.told) == 1
     assert checked.outbox.last_check("one")["n"] == number
+    assert not checked.checks.takes(block_of(rig, 12.0))
 
 
 def seen(height: float, many: int = 50) -> SimpleNamespace:
@@ -157,20 +140,5 @@ def test_a_laser_that_dims_or_goes_out_is_told_after_three_frames() -> None:
     assert laser.look(seen(0.0, many=0)) == "no stripe is seen: is the laser on, and its window clean?"
     assert laser.look(seen(150.0)) == ""
     assert laser.look(None) is None
-
-
-def test_a_laser_that_was_never_on_is_told() -> None:
-    laser = LaserHealth()
-    assert [laser.look(seen(0.0, many=0)) for _ in range(3)][-1] == (
-        "no stripe is seen: is the laser on, and its window clean?"
-    )
-
-
-def test_a_check_that_was_asked_for_long_ago_takes_no_products_frame(checked, rig, monkeypatch) -> None:
-    monkeypatch.setattr("roemetry_line.block_checks._FRAME_S", 0.0)
-    checked.outbox.ask_check("one", "otto")
-    checked.until_told()
-    assert not checked.checks.takes(block_of(rig, 12.0))
-    ((verdict, said),) = checked.told
-    assert verdict == "failed"
-    assert "no frame came" in said
+    never_on = LaserHealth()
+    assert [never_on.look(seen(0.0, many=0)) for _ in range(3)][-1].startswith("no stripe is seen")

@@ -25,21 +25,6 @@ from roemetry_line.line_file import Line, PageSection
 from roemetry_line.outbox import Outbox
 from roemetry_line.station import StationProcess
 
-LINE = """\
-roemetry_line: 1
-name: line-1
-folder: data
-stations:
-  - name: one
-    recipe: recipe.yaml
-    feed:
-      use: FEED
-      options:
-        NODES
-history: null
-page: null
-"""
-
 
 def basler(folder: Path, **nodes):
     pytest.importorskip("pypylon", reason="the extra basler has pypylon")
@@ -96,18 +81,7 @@ def test_aravis_numbers_wrap_without_a_loss(aravis) -> None:
     assert {one.frame.size for one in live if one.frame is not None} == {(48, 64)}
 
 
-@pytest.fixture
-def tried(line):
-    """Try the camera of a line whose feed has some options; gives what the doctor finds."""
-
-    def make(feed: str, options: str):
-        recipe = line()
-        text = LINE.replace("FEED", feed).replace("NODES", options)
-        (recipe.parent / "line.yaml").write_text(text, "utf-8")
-        loaded = Line.load(recipe.parent / "line.yaml")
-        return preflight._camera(loaded, loaded.stations[0])
-
-    return make
+FEED = "feed: {use: folder-watch, options: {path: FOLDER/in}}"
 
 
 @pytest.mark.parametrize(
@@ -127,7 +101,7 @@ def tried(line):
     ],
 )  # fmt: skip
 def test_a_camera_that_refuses_is_named_at_its_place(
-    tried, tmp_path, request, feed, options, found, remedy
+    line_file, tmp_path, request, feed, options, found, remedy
 ) -> None:
     if feed == "aravis":
         request.getfixturevalue("aravis")
@@ -137,18 +111,16 @@ def test_a_camera_that_refuses_is_named_at_its_place(
     # a producer for another processor: a sound header of a library for a 64-bit ARM
     other = tmp_path / "other.cti"
     other.write_bytes(b"\x7fELF\x02\x01\x01" + bytes(9) + b"\x03\x00\xb7\x00\x01\x00\x00\x00" + bytes(100))
-    told = tried(feed, options.replace("other.cti", str(other)))
+    options = options.replace("other.cti", str(other))
+    loaded = Line.load(line_file((FEED, f"feed:\n      use: {feed}\n      options:\n        {options}")))
+    told = preflight._camera(loaded, loaded.stations[0])
     assert told.verdict == "wrong"
     assert re.search(found, told.found), told.found
     assert remedy in told.remedy
 
 
-def test_a_driver_that_does_not_answer_is_told_within_three_seconds(line) -> None:
-    recipe = line()
-    (recipe.parent / "in").mkdir()
-    text = LINE.replace("FEED", "folder-watch").replace("NODES", f"path: {recipe.parent / 'in'}")
-    (recipe.parent / "line.yaml").write_text(text, "utf-8")
-    loaded = Line.load(recipe.parent / "line.yaml")
+def test_a_driver_that_does_not_answer_is_told_within_three_seconds(line_file) -> None:
+    loaded = Line.load(line_file())
     outbox = Outbox(loaded.folder)
     station = StationProcess(loaded, "one", outbox, threading.Event())
     station._taking, station._opened, station._last_try_s = True, True, time.time() - 2.1

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,6 +15,7 @@ from roemetry_line.history import charts_of, counts_of
 from roemetry_line.line_file import Line
 from roemetry_line.outbox import Outbox
 from roemetry_line.outlets.database import COLUMNS, connect
+from tests.plugins.line.loopback import wait_for
 
 HOUR_S = 3600.0
 
@@ -33,6 +32,9 @@ def test_limits_of_alternating_values_are_known() -> None:
     assert chart.ewma[0] == pytest.approx(0.2 * 10.0 + 0.8 * 10.564, abs=1e-12)
     assert chart.ewma_limit[0] == pytest.approx(2.86 * 0.2, abs=1e-12)
     assert chart.ewma_limit[-1] == pytest.approx(2.86 / 3.0, abs=1e-5)
+    few = chart_of("mass_g", np.arange(9.0), np.arange(9.0))
+    assert np.isnan(few.std_within)
+    assert few.hours == ()
 
 
 def test_a_shift_is_seen_and_steady_products_are_not(rng) -> None:
@@ -44,12 +46,6 @@ def test_a_shift_is_seen_and_steady_products_are_not(rng) -> None:
     out = chart_of("mass_g", times_s, shifted)
     assert {hour * HOUR_S for hour in (30.0, 31.0, 32.0, 33.0)} <= set(out.hours_out)
     assert len(chart.hours_out) <= 1
-
-
-def test_too_few_products_give_no_limits() -> None:
-    chart = chart_of("mass_g", np.arange(9.0), np.arange(9.0))
-    assert np.isnan(chart.std_within)
-    assert chart.hours == ()
 
 
 def table(tmp_path):
@@ -96,30 +92,28 @@ def test_closed_days_become_parquet_once_and_again_where_rows_came_late(tmp_path
     assert write_days(made, "another line", days, now=40 * HOUR_S) == []
 
 
-def test_nothing_is_forgotten_before_its_day_is_written(line, tmp_path, monkeypatch) -> None:
+def test_nothing_is_forgotten_before_its_day_is_written(line_file, tmp_path, monkeypatch) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
-    recipe = line()
-    path = recipe.parent / "line.yaml"
-    path.write_text(
-        "roemetry_line: 1\nname: l\nfolder: data\n"
-        "stations: [{name: s, recipe: recipe.yaml, feed: folder-watch}]\n"
-        f"history: {{url: 'sqlite:{tmp_path}/h.sqlite', days: days, keep_days: 2}}\n"
-    )
+    history = f"history: {{url: 'sqlite:{tmp_path}/h.sqlite', days: days, keep_days: 2}}\n"
+    path = line_file(("name: line-1", "name: l"), end=history)
     made = table(tmp_path)
-    (recipe.parent / "data").mkdir()
-    blocked = recipe.parent / "data" / "days"
+    (path.parent / "data").mkdir()
+    blocked = path.parent / "data" / "days"
     blocked.write_text("not a folder")
     with pytest.raises(OutputError, match="days"):
         tidy(Line.load(path))
     assert made.ask("select count(*) from roemetry_rows") == [(48,)]
     blocked.unlink()
-    outbox = Outbox(recipe.parent / "data")
+    outbox = Outbox(path.parent / "data")
     outbox.raise_alarm("history", "days", "closed days are not written")
     monkeypatch.setattr("roemetry_line.days._FIRST_S", 0.0)
-    tidying, until_s = HourlyTidying(Line.load(path), outbox), time.monotonic() + 60.0
-    while outbox.open_alarms("history") and time.monotonic() < until_s:
+    tidying = HourlyTidying(Line.load(path), outbox)
+
+    def tidied() -> bool:
         tidying.look()  # as a line does, which has it done by a process beside
-        time.sleep(0.02)
+        return not outbox.open_alarms("history")
+
+    wait_for(tidied, "the alarm does not end", 60.0)
     assert made.ask("select count(*) from roemetry_rows") == [(0,)]
     assert [parquet.ParquetFile(day).metadata.num_rows for day in sorted(blocked.iterdir())] == [24, 24]
 
@@ -127,7 +121,6 @@ def test_nothing_is_forgotten_before_its_day_is_written(line, tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("moves", "count", "y_mm", "expected"),
     [
-        ("+y", 1000.0, 0.0, 6000),
         ("+y", 1000.0, 100.0, 5000),
         ("-y", 1000.0, 100.0, 7000),
         ("+y", 65_000.0, 0.0, 70_000 - 65_536),

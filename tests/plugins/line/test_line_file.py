@@ -11,31 +11,13 @@ from roemetry.io.files import exclusive
 from roemetry_line.line_file import Line
 from roemetry_line.outbox import Outbox
 
-LINE = """\
-roemetry_line: 1
-name: line-1
-folder: data
-stations:
-  - name: one
-    recipe: recipe.yaml
-    feed: {use: folder-watch, options: {path: in}}
-outlets:
-  - {name: plc, use: tcp, options: {port: 9100}}
-"""
+PLC = "outlets:\n  - {name: plc, use: tcp, options: {port: 9100}}\n"
 
 
 @pytest.fixture
-def at(line):
-    """Write a line file beside a recipe, with something replaced; gives its path."""
-
-    def make(old: str = "", new: str = ""):
-        recipe = line()
-        assert old in LINE
-        path = recipe.parent / "line.yaml"
-        path.write_text(LINE.replace(old, new) if old else LINE, "utf-8")
-        return path
-
-    return make
+def at(line_file):
+    """Write a line file with an outlet, with something replaced; gives its path."""
+    return lambda *replaced: line_file(*replaced, end=PLC)
 
 
 def test_a_whole_one_loads_with_its_history_as_an_outlet(at) -> None:
@@ -64,38 +46,33 @@ def test_a_whole_one_loads_with_its_history_as_an_outlet(at) -> None:
 )  # fmt: skip
 def test_faults_are_told_at_their_place(at, old, new, told) -> None:
     with pytest.raises(ConfigurationError, match=told):
-        Line.load(at(old, new))
+        Line.load(at((old, new)))
 
 
-def test_a_recipe_without_calibration_is_refused(line, tmp_path) -> None:
-    recipe = line(calibrated=False)
-    (recipe.parent / "line.yaml").write_text(LINE, "utf-8")
+def test_a_recipe_without_calibration_is_refused(at) -> None:
+    path = at()
+    recipe = path.parent / "recipe.yaml"
+    recipe.write_text(recipe.read_text("utf-8").replace("calibration: calibration.yaml\n", ""), "utf-8")
     with pytest.raises(ConfigurationError, match=r"line\.yaml:6:5: .*no calibration"):
-        Line.load(recipe.parent / "line.yaml")
+        Line.load(path)
 
 
 def test_all_faults_are_told_at_once(at) -> None:
-    path = at("use: tcp", "use: nobody")
-    path.write_text(path.read_text().replace("folder-watch", "nothing"), "utf-8")
     with pytest.raises(ConfigurationError) as caught:
-        Line.load(path)
+        Line.load(at(("use: tcp", "use: nobody"), ("folder-watch", "nothing")))
     assert len(caught.value.faults) == 2
 
 
 def test_the_doctor_tries_what_a_line_names(at) -> None:
-    path = at(
-        "  - {name: plc, use: tcp, options: {port: 9100}}", "  - {name: plc, use: tcp, options: {port: 1}}"
-    )
-    images = f"path: {path.parent / 'images'}, existing: true, settle_ms: 0"
-    path.write_text(path.read_text("utf-8").replace("path: in", images), "utf-8")
-    path.write_text(path.read_text("utf-8") + "page: {port: 0}\n", "utf-8")
+    images = ("FOLDER/in", "FOLDER/images, existing: true, settle_ms: 0")
+    path = at(("port: 9100", "port: 1"), images, ("folder: data", "folder: data\npage: {port: 0}"))
     ran = CliRunner().invoke(app, ["doctor", str(path)])
     assert ran.exit_code == 2
     said = ran.output.splitlines()
     assert said[0] == "ok       line file: line-1: recipes and calibrations load, every stage is installed"
     assert "ok       station one, feed folder-watch: a frame of 320 × 240 pixels" in said
     assert any(
-        line.startswith("WRONG    outlet plc (tcp): ") and "line.yaml:9:5: 127.0.0.1:1: Conn" in line
+        line.startswith("WRONG    outlet plc (tcp): ") and "line.yaml:10:5: 127.0.0.1:1: Conn" in line
         for line in said
     )
     assert "           → does the receiver run and listen there?" in said

@@ -86,14 +86,11 @@ def test_a_request_that_comes_byte_by_byte_is_dropped(at, head, before) -> None:
     assert time.monotonic() - begin < 3.0
 
 
-def test_who_asks_and_reads_is_kept(at) -> None:
+def test_who_asks_and_reads_is_kept_and_who_does_not_read_is_dropped(at) -> None:
     with socket.create_connection(("127.0.0.1", at), 5.0) as connection:
         for _ in range(3):
             assert asked(connection).startswith(b"HTTP/1.1 200")
             time.sleep(0.2)
-
-
-def test_an_answer_that_nobody_reads_is_dropped(at) -> None:
     with socket.create_connection(("127.0.0.1", at), 5.0) as stuck:
         stuck.sendall(b"GET /endless HTTP/1.1\r\nHost: x\r\n\r\n")
         time.sleep(0.6)
@@ -113,9 +110,6 @@ def test_what_a_library_warns_of_is_a_line_of_json(capsys, monkeypatch) -> None:
         logger.exception("of %d lines\nin all", 2)
     (line,) = capsys.readouterr().err.splitlines()
     told = json.loads(line)
-    assert (told["level"], told["logger"], told["text"]) == (
-        "error",
-        "roemetry.test.library",
-        "of 2 lines\nin all",
-    )
+    assert (told["level"], told["logger"]) == ("error", "roemetry.test.library")
+    assert told["text"] == "of 2 lines\nin all"
     assert "ValueError: twice" in told["raised"]

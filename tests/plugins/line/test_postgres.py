@@ -14,7 +14,7 @@ import pytest
 from roemetry.errors import OutputError
 from roemetry_line.history import charts_of, counts_of
 from roemetry_line.outlets.database import Database, DatabaseOptions, connect
-from tests.plugins.line.test_outlets import free_port, row
+from tests.plugins.line.loopback import free_port, row
 
 pytest.importorskip("psycopg", reason="the extra line has psycopg")
 BIN = next((path.parent for path in sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))), None)

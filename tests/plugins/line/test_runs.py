@@ -53,13 +53,10 @@ def test_a_spool_is_a_data_set(tmp_path, rng) -> None:
         assert len(hashes["laser_sha256"]) == 64
 
 
-def test_runs_of_one_second_have_names_of_their_own(tmp_path) -> None:
-    assert len({runs.new_run(tmp_path, "s") for _ in range(5)}) == 5
-
-
 def test_the_oldest_images_go_first(tmp_path) -> None:
     image = (Frame(np.zeros((100, 100), np.uint8)),)  # 10 kB, and a head
     first, second = runs.new_run(tmp_path, "s"), runs.new_run(tmp_path, "s")
+    assert first != second, "runs of one second have names of their own"
 
     def left() -> list[list[str]]:
         return [[path.stem for path in sorted(run.glob("images/*"))] for run in (first, second)]

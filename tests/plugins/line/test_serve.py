@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import shutil
 import signal
-import socket
 import sqlite3
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -21,65 +17,25 @@ from typer.testing import CliRunner
 
 from roemetry.cli.main import app
 from roemetry.errors import ConfigurationError
+from tests.plugins.line.loopback import Receiver, wait_for
 
-LINE = """\
-roemetry_line: 1
-name: line-1
-folder: data
-stations:
-  - name: one
-    recipe: recipe.yaml
-    deadline_ms: 1
-    feed: {use: folder-watch, options: {path: INCOMING, settle_ms: 0, poll_ms: 5}}
-outlets:
-  - {name: plc, use: tcp, options: {port: PORT}}
-page: null
-"""
+INCOMING = "options: {path: FOLDER/in, settle_ms: 0, poll_ms: 5}"
 
 
-class Receiver:
-    """Takes rows, and is there or not."""
-
-    def __init__(self) -> None:
-        self.keys: list[str] = []
-        self._server = socket.create_server(("127.0.0.1", 0))
-        self.port = self._server.getsockname()[1]
-        threading.Thread(target=self._serve, daemon=True).start()
-
-    def _serve(self) -> None:
-        while True:
-            try:
-                connection, _ = self._server.accept()
-            except OSError:
-                return
-            # who delivers may be killed at any moment
-            with contextlib.suppress(OSError), connection, connection.makefile("rb") as lines:
-                for line in lines:
-                    self.keys.append(json.loads(line)["key"])
-                    connection.sendall(f"ok {self.keys[-1]}\n".encode())
-
-    def close(self) -> None:
-        self._server.close()
-
-    @property
-    def products(self) -> list[str]:
-        """The products' keys, each where it came first."""
-        return [key for key in dict.fromkeys(self.keys) if "!" not in key]
+def outlets(port: int) -> str:
+    return f"outlets:\n  - {{name: plc, use: tcp, options: {{port: {port}}}}}\npage: null\n"
 
 
 class Served:
     """A line that runs beside a recipe, and pictures to put before its camera."""
 
-    def __init__(self, recipe: Path, receiver: Receiver) -> None:
-        self.folder = recipe.parent
-        self.incoming = self.folder / "incoming"
+    def __init__(self, line_file: Path) -> None:
+        self.folder = line_file.parent
+        self.incoming = self.folder / "in"
         self.incoming.mkdir()
         self.images = sorted((self.folder / "images").iterdir())
         self._count = 0
-        text = LINE.replace("PORT", str(receiver.port)).replace("INCOMING", str(self.incoming))
-        (self.folder / "line.yaml").write_text(text, "utf-8")
         self.log = self.folder / "log.jsonl"
-        self.start()
 
     def start(self) -> None:
         """Start it, and wait until every station measures."""
@@ -134,33 +90,28 @@ class Served:
         ]
 
 
-def wait_for(condition: Callable[[], object], otherwise: str, seconds: float = 20.0) -> None:
-    until_s = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < until_s, otherwise
-        time.sleep(0.05)
+def products(receiver: Receiver) -> list[str]:
+    """The products' keys, each where it came first."""
+    return [key for key in dict.fromkeys(receiver.keys) if "!" not in key]
 
 
 @pytest.fixture
-def receiver():
-    made = Receiver()
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def served(line, receiver):
-    made = Served(line(), receiver)
-    yield made
-    if made.process.poll() is None:
-        made.process.kill()
-        made.process.wait()
+def served(line_file, receiver):
+    deadline = ("recipe: recipe.yaml", "recipe: recipe.yaml\n    deadline_ms: 1")
+    made = Served(line_file(deadline, ("options: {path: FOLDER/in}", INCOMING), end=outlets(receiver.port)))
+    try:
+        made.start()
+        yield made
+    finally:
+        if made.process.poll() is None:
+            made.process.kill()
+            made.process.wait()
 
 
 def recovered(served, receiver) -> None:
     """Kill the whole line, as if before its second product came into the outbox: it is measured again."""
     served.put(2)
-    wait_for(lambda: len(receiver.products) >= 2, "two products are not told")
+    wait_for(lambda: len(products(receiver)) >= 2, "two products are not told")
     served.process.kill()  # its children end with it
     served.process.wait()
     (run,) = served.runs()
@@ -173,22 +124,22 @@ def recovered(served, receiver) -> None:
         db.execute("delete from rows where key like '%000002#1'")
         db.execute("update marks set n = (select max(n) from rows)")
     db.close()
-    second = receiver.products[1]
+    second = products(receiver)[1]
     served.start()
     wait_for(lambda: receiver.keys.count(second) == 2, "the product is not told after the restart")
-    assert receiver.products[1] == second
+    assert products(receiver)[1] == second
     assert (run / "measurements.jsonl").read_text("utf-8").splitlines(keepends=True) == lines
 
 
 def test_a_line_measures_reloads_survives_kills_and_drains(served, receiver) -> None:
     recovered(served, receiver)
     served.put(4)
-    wait_for(lambda: len(receiver.products) >= 6, "four products are not told")
+    wait_for(lambda: len(products(receiver)) >= 6, "four products are not told")
 
     served.kill("station one")
     assert '"process-died"' in served.log.read_text()
     served.put(3)
-    wait_for(lambda: len(receiver.products) >= 9, "three products after the station's death are not told")
+    wait_for(lambda: len(products(receiver)) >= 9, "three products after the station's death are not told")
 
     recipe = served.folder / "recipe.yaml"
     whole = recipe.read_text("utf-8")
@@ -196,31 +147,31 @@ def test_a_line_measures_reloads_survives_kills_and_drains(served, receiver) -> 
     wait_for(lambda: '"recipe"' in served.log.read_text(), "a faulty recipe is not told")
     served.kill("outlets")  # what tells does not need the recipe
     served.put(3)
-    wait_for(lambda: len(receiver.products) >= 12, "three products after the outlets' death are not told")
+    wait_for(lambda: len(products(receiver)) >= 12, "three products after the outlets' death are not told")
     recipe.write_text(whole.replace("threshold: 60", "threshold: 70"), "utf-8")
     wait_for(lambda: "the changed recipe is whole" in served.log.read_text(), "a whole recipe is not taken")
     time.sleep(0.2)
     served.put(3)
-    wait_for(lambda: len(receiver.products) >= 15, "three products by the changed recipe are not told")
+    wait_for(lambda: len(products(receiver)) >= 15, "three products by the changed recipe are not told")
 
     served.incoming.rename(served.folder / "elsewhere")  # the camera is gone
     wait_for(lambda: '"camera"' in served.log.read_text(), "nobody tells that the camera is gone")
     (served.folder / "elsewhere").rename(served.incoming)
     wait_for(lambda: "there again" in served.log.read_text(), "nobody tells that the camera is back")
     served.put(2)
-    wait_for(lambda: len(receiver.products) >= 17, "two products after the camera's return are not told")
+    wait_for(lambda: len(products(receiver)) >= 17, "two products after the camera's return are not told")
 
     assert served.stop() == 0
-    assert len(receiver.products) == 17
+    assert len(products(receiver)) == 17
     assert any(key.endswith("!late") for key in receiver.keys), "a millisecond is too short for any product"
-    assert served.recorded() == receiver.products
+    assert served.recorded() == products(receiver)
     with sqlite3.connect(served.folder / "data" / "history.sqlite") as db:
         found = db.execute("select line, run, id from roemetry_rows order by rowid").fetchall()
         punctual = "select count(*) from roemetry_rows where kind = 'product' and late = 0"
         assert db.execute(punctual).fetchone() == (0,)
     db.close()
     kept = ["/".join(key) for key in found if "!" not in key[2]]
-    assert kept == receiver.products
+    assert kept == products(receiver)
 
     *_, last = served.runs()
     again = served.folder / "again"
@@ -241,23 +192,18 @@ def locked(folder: Path) -> bool:
     return found.returncode == 0
 
 
-def test_a_line_that_cannot_reach_a_receiver_does_not_start(line, receiver) -> None:
-    recipe = line()
-    text = LINE.replace("PORT", "1").replace("INCOMING, ", f"{recipe.parent / 'images'}, existing: true, ")
-    (recipe.parent / "line.yaml").write_text(text, "utf-8")
-    tried = CliRunner().invoke(app, ["serve", str(recipe.parent / "line.yaml")])
+def test_a_line_that_cannot_reach_a_receiver_does_not_start(line_file) -> None:
+    path = line_file(("FOLDER/in", "FOLDER/images, existing: true"), end=outlets(1))
+    tried = CliRunner().invoke(app, ["serve", str(path)])
     assert isinstance(tried.exception, ConfigurationError)
     (fault,) = tried.exception.faults
-    assert (
-        "line.yaml:10:5: 127.0.0.1:1: Connection refused (outlet plc (tcp)): does the receiver run" in fault
-    )
-    assert not (recipe.parent / "data" / "runs").exists()
+    assert "line.yaml:9:5: 127.0.0.1:1: Connection refused (outlet plc (tcp)): does the receiver run" in fault
+    assert not (path.parent / "data" / "runs").exists()
 
 
-def test_a_unit_names_this_line(line) -> None:
-    recipe = line()
-    (recipe.parent / "line.yaml").write_text(LINE.replace("PORT", "9100").replace("INCOMING", "in"), "utf-8")
-    shown = CliRunner().invoke(app, ["serve", str(recipe.parent / "line.yaml"), "--unit"])
+def test_a_unit_names_this_line(line_file) -> None:
+    path = line_file()
+    shown = CliRunner().invoke(app, ["serve", str(path), "--unit"])
     assert shown.exit_code == 0
-    assert f"serve {recipe.parent / 'line.yaml'} --start-anyway" in shown.output
+    assert f"serve {path} --start-anyway" in shown.output
     assert "Type=notify" in shown.output

@@ -41,10 +41,6 @@ def written(run, **options) -> str:
     return path.read_text(encoding="utf-8")
 
 
-def svgs(text: str) -> list[ElementTree.Element]:
-    return [ElementTree.fromstring(part) for part in re.findall(r"<svg.*?</svg>", text, re.S)]
-
-
 @pytest.fixture(scope="module")
 def mixed(synthetic, tmp_path_factory):
     """One of each kind: good, deformed, two products with a nasty id, failed, empty."""
@@ -60,35 +56,24 @@ def mixed(synthetic, tmp_path_factory):
     return rows, written(run)
 
 
-def test_the_page_needs_no_network(mixed):
+def test_the_page_is_whole_needs_no_network_and_takes_names_for_text(mixed):
     _, text = mixed
+    page = Page(text)
     assert text.startswith("<!DOCTYPE html>")
     assert not re.search(r"https?://|@import|url\((?!#)", text)
     assert all(address.startswith(("#", "data:")) for address in re.findall(r'(?:src|href)="([^"]*)"', text))
-
-
-def test_ids_are_unique_and_every_link_leads_somewhere(mixed):
-    page = Page(mixed[1])
     assert len(page.ids) == len(set(page.ids))
-    links = set(re.findall(r'href="#([^"]*)"', mixed[1]))
-    assert links <= set(page.ids)
-    used = re.findall(r"url\(#([^)]+)\)", mixed[1])
-    assert set(used) <= set(page.ids)
-
-
-def test_nasty_names_are_text_and_never_markup(mixed):
-    text = mixed[1]
+    assert set(re.findall(r'href="#([^"]*)"', text) + re.findall(r"url\(#([^)]+)\)", text)) <= set(page.ids)
     assert "<script>alert" not in text
-    assert NASTY in Page(text).words
+    assert NASTY in page.words
     assert text.count("<script>") == 1
     assert "&lt;wbr" not in text
-
-
-def test_every_svg_is_well_formed_and_says_what_it_shows(mixed):
-    found = svgs(mixed[1])
-    assert len(found) > 30
-    for element in found:
-        assert element.get("aria-hidden") == "true" or element.get("aria-label")
+    drawings = [ElementTree.fromstring(part) for part in re.findall(r"<svg.*?</svg>", text, re.S)]
+    assert len(drawings) > 30
+    assert all(one.get("aria-hidden") == "true" or one.get("aria-label") for one in drawings)
+    sections = text.split('<section class="acquisition"')[1:]
+    assert len(sections) == 5
+    assert max(len(part.encode()) for part in sections) < 250_000
 
 
 def test_every_measurement_has_a_row_with_its_reason(mixed):
@@ -102,36 +87,15 @@ def test_every_measurement_has_a_row_with_its_reason(mixed):
     assert "henkei" in page.rows["skein_02#1"][2]
 
 
-def test_uncertainty_that_is_not_modelled_is_not_stated(mixed):
-    rows, text = mixed
-    cells = Page(text).rows["skein_01#1"]
-    row = rows[0]
+def test_what_holds_for_every_product_is_said_once_and_no_uncertainty_is_invented(mixed):
+    (row, *_), text = mixed
     values = (row.weight.mass_g.value, row.volume.visible_mm3.value / 1000, row.height_max_mm.value)
     texts = (f"{value:.{digits}f}" for value, digits in zip(values, (1, 2, 1), strict=True))
-    assert cells[4:7] == [f"{text} not stated" for text in texts]
-
-
-def test_stated_uncertainty_is_printed_and_sets_the_places(synthetic, tmp_path):
-    scene = synthetic.Scene("a")
-    (row,) = synthetic.measurements_of(scene)
-    row = replace(
-        row,
-        volume=replace(row.volume, visible_mm3=Estimate(20123.4, 456.7)),
-        weight=Weight(Estimate(22.136, 0.512)),
-        height_max_mm=Estimate(17.3772, 0.0221),
-    )
-    cells = Page(written(synthetic.run_of(tmp_path, [row], {}))).rows["a#1"]
-    weight = cells.index("22.14 ± 0.51")
-    assert cells[weight + 1 : weight + 3] == ["20.12 ± 0.46", "17.377 ± 0.022"]
-
-
-def test_what_holds_for_every_product_is_said_once_above_the_table(mixed):
-    text = mixed[1]
+    assert Page(text).rows["skein_01#1"][4:7] == [f"{text} not stated" for text in texts]
     above = text[: text.index("<table")]
     assert "Holds for every measured product" in above
     assert "model-error-not-stated" in above
-    table = text[text.index("<table") : text.index("</table>")]
-    assert "model-error-not-stated" not in table
+    assert "model-error-not-stated" not in text[text.index("<table") : text.index("</table>")]
 
 
 def test_two_products_share_their_pictures(mixed):
@@ -141,32 +105,17 @@ def test_two_products_share_their_pictures(mixed):
     assert re.findall(r"<b>\((\w)\)</b>", section) == list("abcdeghighi")
 
 
-def test_a_section_keeps_below_a_quarter_of_a_megabyte(mixed):
-    parts = mixed[1].split('<section class="acquisition"')[1:]
-    assert len(parts) == 5
-    assert max(len(part.encode()) for part in parts) < 250_000
-
-
-def test_an_image_that_is_gone_is_said_and_costs_only_the_pictures(synthetic, tmp_path):
-    rows = synthetic.measurements_of(synthetic.Scene("a"))
-    page = Page(written(synthetic.run_of(tmp_path, rows, {})))
+def test_what_cannot_be_shown_costs_only_the_pictures(synthetic, tmp_path):
+    rows = [*synthetic.measurements_of(synthetic.Scene("a")), synthetic.failed("b"), synthetic.failed("c")]
+    peaks = replace(synthetic.trace_of(synthetic.Scene("c")), stripes=None, profiles=None, products=())
+    traces = {"b": Trace("b", absent={"source": rows[1].reasons[0]}), "c": peaks}
+    text = written(synthetic.run_of(tmp_path, rows, traces))
+    page = Page(text)
     assert "a: the image is gone" in page.words
-    assert "a#1" in page.rows
-
-
-def test_a_trace_without_a_frame_gives_the_reason(synthetic, tmp_path):
-    why = synthetic.failed("a").reasons[0]
-    run = synthetic.run_of(tmp_path, [synthetic.failed("a")], {"a": Trace("a", absent={"source": why})})
-    assert "No pictures. the file is truncated" in Page(written(run)).words
-
-
-def test_a_trace_that_ends_after_the_peaks_shows_them(synthetic, tmp_path):
-    scene = synthetic.Scene("a")
-    trace = replace(synthetic.trace_of(scene), stripes=None, profiles=None, products=())
-    run = synthetic.run_of(tmp_path, [synthetic.failed("a")], {"a": trace})
-    text = written(run)
-    assert re.findall(r"<b>\((\w)\)</b>", text) == ["a", "b", "c"]
-    assert 'href="#a1-peaks"' in text
+    assert "No pictures. the file is truncated" in page.words
+    assert set(page.rows) == {"a#1", "b#0", "c#0"}
+    assert re.findall(r"<b>\((\w)\)</b>", text) == list("habc"), "slices of `a`; `c` ends after the peaks"
+    assert re.search(r'href="#a\d-peaks"', text)
 
 
 def test_uncalibrated_is_said_on_top_and_pixels_are_what_is_given(synthetic, tmp_path):
@@ -209,10 +158,6 @@ def test_nothing_but_nan_is_a_page_too(synthetic, tmp_path):
     assert cells[2:8] == ["? unknown", "● measured", "–", "–", "–", "–"]
 
 
-def test_an_empty_record_is_a_page_too(synthetic, tmp_path):
-    assert "holds no measurement" in Page(written(synthetic.run_of(tmp_path, [], {}))).words
-
-
 def test_pictures_are_capped_and_the_worst_are_shown_besides(synthetic, tmp_path):
     (good,) = synthetic.measurements_of(synthetic.Scene("x"))
     rows = [replace(good, id=f"p{i}#1", acquisition=f"p{i}") for i in range(30)]
@@ -231,18 +176,12 @@ def test_pictures_are_capped_and_the_worst_are_shown_besides(synthetic, tmp_path
     assert "5 products of 30 shown with pictures" in page.words
 
 
-def test_no_pictures_at_all_when_none_are_wanted(synthetic, tmp_path):
-    rows = [synthetic.failed(f"p{i}") for i in range(5)]
-    page = Page(written(synthetic.run_of(tmp_path, rows, {}), products_max=0, worst_max=0))
-    assert page.sections == 0
-    assert len(page.rows) == 5
-
-
-def test_long_runs_get_a_table_that_opens(synthetic, tmp_path):
-    rows = [synthetic.failed(f"p{i}") for i in range(600)]
-    page = Page(written(synthetic.run_of(tmp_path, rows, {}), products_max=1, worst_max=1))
-    assert len(page.rows) == 500
-    assert "first 500 of 600 rows" in page.words
+@pytest.mark.parametrize(("many", "shown", "listed"), [(5, 0, 5), (600, 1, 500)])
+def test_long_runs_get_a_table_that_opens(synthetic, tmp_path, many, shown, listed):
+    rows = [synthetic.failed(f"p{i}") for i in range(many)]
+    page = Page(written(synthetic.run_of(tmp_path, rows, {}), products_max=shown, worst_max=0))
+    assert (page.sections, len(page.rows)) == (shown, listed)
+    assert ("first 500 of 600 rows" in page.words) == (many > 500)
 
 
 def test_a_long_run_tells_its_spread_its_reasons_and_an_example_of_each_kind(synthetic, tmp_path):

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from roemetry.records import Profiles
-from roemetry_report.palette import height_colour
 from roemetry_report.sink import Report
 from roemetry_report.solid import Solid, solid
 from tests.browser import opened
@@ -67,20 +66,17 @@ def test_every_point_that_is_sent_was_measured_to_a_hundredth(profiles: Profiles
 def test_a_hole_in_a_slice_is_not_joined(profiles: Profiles) -> None:
     index = 5
     on = np.flatnonzero(profiles.product[index] > 0)
-    xyz, product = profiles.xyz_mm.copy(), profiles.product.copy()
-    seen, x, row = profiles.seen.copy(), profiles.x_px.copy(), profiles.row_px.copy()
     hole = on[40:60]
-    xyz[index, hole], product[index, hole], seen[index, hole] = np.nan, -1, False
-    x[index, hole] = row[index, hole] = np.nan
-    holed = replace(profiles, xyz_mm=xyz, product=product, seen=seen, x_px=x, row_px=row)
+    arrays = {of: getattr(profiles, of).copy() for of in ("xyz_mm", "product", "seen", "x_px", "row_px")}
+    for of, nothing in zip(arrays, (np.nan, -1, False, np.nan, np.nan), strict=True):
+        arrays[of][index, hole] = nothing
+    holed = replace(profiles, **arrays)
     given = solid(holed)
     assert given is not None
     head, points, flags, _ = read(given)
-    at = sum(
-        entry[2]
-        for entry in head["slices"][: [e[0] for e in head["slices"]].index(int(profiles.stripe[index]))]
-    )
-    count = next(entry[2] for entry in head["slices"] if entry[0] == profiles.stripe[index])
+    slices = [entry[0] for entry in head["slices"]].index(int(profiles.stripe[index]))
+    at = sum(entry[2] for entry in head["slices"][:slices])
+    count = head["slices"][slices][2]
     free = np.flatnonzero((flags[at : at + count] & 2) == 0)
     assert len(free) == 2 and free[0] == 0
     edges = points[at + free[1] - 1 : at + free[1] + 1, 1]
@@ -114,10 +110,7 @@ def test_two_products_are_never_bridged(synthetic: Any) -> None:
     assert products == sorted(products) and set(products) == {1, 2}
     cells = len(re.findall("solid-cell", str(given.still)))
     assert cells == 7 * (len(products) - 2)
-    assert [(product, closed) for product, _, _, closed in json.loads(given.head)["grids"]] == [
-        (1, 0),
-        (2, 0),
-    ]
+    assert [(grid[0], grid[3]) for grid in json.loads(given.head)["grids"]] == [(1, 0), (2, 0)]
 
 
 def test_the_still_picture_keeps_within_its_frame_and_says_what_it_is(profiles: Profiles) -> None:
@@ -130,33 +123,17 @@ def test_the_still_picture_keeps_within_its_frame_and_says_what_it_is(profiles: 
     for path in drawing.iter("path"):
         x, y = map(float, re.match(r"M(-?[\d.]+)[ ]?(-?[\d.]+)", path.get("d", "")).groups())  # type: ignore[union-attr]
         assert 0 <= x <= 760 and 0 <= y <= 400
-
-
-def test_nothing_on_a_product_is_nothing_to_show(profiles: Profiles) -> None:
     belt = replace(profiles, product=np.where(profiles.product > 0, 0, profiles.product).astype(np.int16))
-    assert solid(belt) is None
+    assert solid(belt) is None, "nothing on a product is nothing to show"
 
 
-def test_heights_grow_lighter() -> None:
-    light = [
-        sum(int(height_colour(s)[i : i + 2], 16) * w for i, w in ((1, 0.3), (3, 0.6), (5, 0.1)))
-        for s in np.linspace(0, 1, 50)
-    ]
-    assert np.all(np.diff(light) > 0)
-    assert height_colour(-1) == height_colour(0)
+def test_it_turns_in_a_browser_and_is_a_picture_without_scripts(
+    browser: Any, synthetic: Any, tmp_path: Path
+) -> None:
+    scene = synthetic.Scene("one")
+    run = synthetic.run_of(tmp_path, synthetic.measurements_of(scene), {"one": synthetic.trace_of(scene)})
+    (report,) = Report().write(run)
 
-
-@pytest.fixture(scope="module")
-def report(synthetic: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    scenes = [synthetic.Scene("one"), synthetic.Scene("two", (synthetic.Dome(dent_mm=6.0),), seed=2)]
-    rows = [row for scene in scenes for row in synthetic.measurements_of(scene)]
-    folder = tmp_path_factory.mktemp("solid")
-    run = synthetic.run_of(folder, rows, {scene.id: synthetic.trace_of(scene) for scene in scenes})
-    (path,) = Report().write(run)
-    return Path(path)
-
-
-def test_it_turns_in_a_browser_and_is_a_picture_without_scripts(browser: Any, report: Path) -> None:
     def coloured(page: Any) -> float:
         """Share of the picture in the colours of heights, which are neither grey nor white."""
         page.wait_for_timeout(120)
@@ -172,11 +149,7 @@ def test_it_turns_in_a_browser_and_is_a_picture_without_scripts(browser: Any, re
         page.wait_for_selector("figure.solid.live canvas")
         before = coloured(page)
         assert before > 0.05
-        box = page.locator("figure.solid canvas").first.bounding_box()
-        page.mouse.move(box["x"] + 300, box["y"] + 150)
-        page.mouse.down()
-        page.mouse.move(box["x"] + 380, box["y"] + 190, steps=4)
-        page.mouse.up()
+        page.locator("figure.solid canvas").first.drag_to(page.locator("figure.solid").first)
         assert coloured(page) != before, "a drag turns it"
         page.get_by_role("button", name="Seen and assumed").first.click()
         assert coloured(page) != before

@@ -86,21 +86,14 @@ def test_an_outer_sliver_is_no_section() -> None:
     assert shape_features(thin, 0) == pytest.approx(shape_features(gone, 0), nan_ok=True)
 
 
-def test_a_spheres_curvatures_are_its_radius() -> None:
-    sections = sections_of(product_of(SPHERICAL_CAP), 0)
-    found = surface_shape(sections)
+def test_a_spheres_curvatures_are_its_radius_and_its_normals_point_away_from_its_centre() -> None:
+    found = surface_shape(sections_of(product_of(SPHERICAL_CAP), 0))
     middle = found.shape_index.shape[0] // 2, found.shape_index.shape[1] // 2
     foot, height = SPHERICAL_CAP.length_mm / 2, SPHERICAL_CAP.height_mm
     radius = (foot**2 + height**2) / (2 * height)
     assert found.curvature_max[middle] == pytest.approx(-1 / radius, rel=0.15)  # 1/mm
     assert found.curvature_min[middle] == pytest.approx(-1 / radius, rel=0.15)  # 1/mm
     assert found.shape_index[middle] == pytest.approx(-1.0, abs=0.1)
-
-
-def test_a_spheres_normals_point_away_from_its_centre() -> None:
-    found = surface_shape(sections_of(product_of(SPHERICAL_CAP), 0))
-    foot, height = SPHERICAL_CAP.length_mm / 2, SPHERICAL_CAP.height_mm
-    radius = (foot**2 + height**2) / (2 * height)
     near = np.hypot(found.x_mm, found.y_mm) < 0.6 * foot
     assert near.sum() > 20
     np.testing.assert_allclose(found.normal_x[near], found.x_mm[near] / radius, atol=0.05)
@@ -150,32 +143,19 @@ def test_a_dent_is_found_with_its_depth_and_place() -> None:
     assert hollows_of(sections_of(dented(0.2), 0))[1] == ()
 
 
-def turned(product, *, mirror: bool, about: bool):
-    xyz = product.profiles.xyz_mm.copy()
-    if mirror:
-        xyz[:, :, 1] *= -1
-    if about:
-        xyz[:, :, :2] *= -1
-    return replace(product, profiles=replace(product.profiles, xyz_mm=xyz))
+@pytest.mark.parametrize("signs", [(1, -1, 1), (-1, -1, 1), (-1, 1, 1)], ids=["mirrored", "turned", "both"])
+def test_features_do_not_know_left_from_right(signs: tuple[int, int, int]) -> None:
+    product = dented(2.0)
+    other = replace(product, profiles=replace(product.profiles, xyz_mm=product.profiles.xyz_mm * signs))
+    assert shape_features(other, 3.0) == pytest.approx(shape_features(product, 3.0), abs=1e-6, nan_ok=True)
 
 
-@pytest.mark.parametrize(("mirror", "about"), [(True, False), (False, True), (True, True)])
-def test_features_do_not_know_left_from_right(mirror: bool, about: bool) -> None:
-    plain = shape_features(dented(2.0), 3.0)
-    other = shape_features(turned(dented(2.0), mirror=mirror, about=about), 3.0)
-    for name, value in plain.items():
-        assert other[name] == pytest.approx(value, abs=1e-6, nan_ok=True), name
-
-
-def test_too_little_has_no_shape() -> None:
-    assert shape_features(product_from(np.full((61, 240), np.nan)), 3.0) == {}
-
-
-def test_a_box_is_full() -> None:
+def test_a_box_is_full_and_nothing_has_no_shape() -> None:
     features = shape_features(product_of(BOX), 0)
     assert features["fullness_median"] > 0.9
     assert features["hollow_depth_mm"] < 1e-6
     assert sections_of(product_of(BOX), 0).height_mm.shape[1] == SAMPLES
+    assert shape_features(product_from(np.full((61, 240), np.nan)), 3.0) == {}
 
 
 @pytest.mark.parametrize(("missing", "fewer"), [(0.5, 0), (0.8, 1)])

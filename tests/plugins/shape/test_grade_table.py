@@ -36,11 +36,20 @@ TABLE: dict[str, Any] = {
 }
 
 
+def table(*classes: tuple[str, dict[str, dict[str, float]]], **more: Any) -> dict[str, Any]:
+    return {"classes": [{"label": label, "limits": limits} for label, limits in classes], **more}
+
+
+def grading(options: dict[str, Any]) -> GradeTable:
+    return GradeTable(GradeTableOptions.model_validate(options))
+
+
 def decided(
     mass_g: float, std_g: float = 0.1, label: str = "good", probability: float = math.nan, **more: Any
 ) -> Decision:
-    grader = GradeTable(GradeTableOptions.model_validate({**TABLE, **more}))
-    return grader.decide(PRODUCT, None, Weight(whole(mass_g, std_g)), Grade(label, probability))
+    return grading({**TABLE, **more}).decide(
+        PRODUCT, None, Weight(whole(mass_g, std_g)), Grade(label, probability)
+    )
 
 
 def whole(value: float, std: float) -> Estimate:
@@ -73,21 +82,19 @@ def test_within_the_guard_band_it_is_undecided() -> None:
 
 def test_an_open_class_that_alone_is_left_is_taken() -> None:
     """Between 8 and 9 g with a band wider than the class: neither kept nor broken, and nothing else fits."""
-    classes = [
-        {"label": "low", "limits": {"weight_g": {"below": 8.0}}},
-        {"label": "middle", "limits": {"weight_g": {"at_least": 8.0, "below": 9.0}, "dents": {"below": 5.0}}},
-        {"label": "odd", "limits": {"weight_g": {"at_least": 8.0, "below": 9.0}, "dents": {"at_least": 5.0}}},
-        {"label": "high", "limits": {"weight_g": {"at_least": 9.0}}},
-    ]
-    grader = GradeTable(GradeTableOptions.model_validate({"classes": classes, "std": {"dents": 0.1}}))
+    between = {"at_least": 8.0, "below": 9.0}
+    classes = table(
+        ("low", {"weight_g": {"below": 8.0}}),
+        ("middle", {"weight_g": between, "dents": {"below": 5.0}}),
+        ("odd", {"weight_g": between, "dents": {"at_least": 5.0}}),
+        ("high", {"weight_g": {"at_least": 9.0}}),
+        std={"dents": 0.1},
+    )
     grade = Grade("good", features={"dents": 0.0})
-    one = grader.decide(PRODUCT, None, Weight(whole(8.5, 0.305)), grade)
-    assert one.label == "undecided"  # 1.65 · 0.305 g reaches both neighbours
-    one = grader.decide(PRODUCT, None, Weight(whole(8.5, 0.302)), grade)
-    assert one.label == "middle"
-    lone = [{"label": "A", "limits": {"weight_g": {"at_least": 8.0}}}, {"label": "B"}]
-    grader = GradeTable(GradeTableOptions.model_validate({"classes": lone}))
-    assert grader.decide(PRODUCT, None, None, None).possible == ("A", "B")
+    for std_g, label in ((0.305, "undecided"), (0.302, "middle")):  # 1.65 · 0.305 g reaches both neighbours
+        assert grading(classes).decide(PRODUCT, None, Weight(whole(8.5, std_g)), grade).label == label
+    lone = grading(table(("A", {"weight_g": {"at_least": 8.0}}), ("B", {})))
+    assert lone.decide(PRODUCT, None, None, None).possible == ("A", "B")
 
 
 def test_guarded_acceptance_keeps_its_risk(rng: np.random.Generator) -> None:
@@ -111,25 +118,17 @@ def test_guarded_acceptance_keeps_its_risk(rng: np.random.Generator) -> None:
 def test_a_shape_must_be_sure(
     label: str, probability: float, features: dict[str, float], wanted: str
 ) -> None:
-    grader = GradeTable(GradeTableOptions.model_validate(TABLE))
     grade = Grade(label, probability, features)
-    assert grader.decide(PRODUCT, None, Weight(whole(30.0, 0.1)), grade).label == wanted
+    assert grading(TABLE).decide(PRODUCT, None, Weight(whole(30.0, 0.1)), grade).label == wanted
 
 
 def test_size_colour_and_volume_are_asked_of_whoever_knows() -> None:
-    classes = [
-        {
-            "label": "A",
-            "limits": {
-                "length_mm": {"at_least": 50.0},
-                "green_mean": {"below": 90.0},
-                "true_volume_cm3": {"at_least": 5.0},
-            },
-        },
-        {"label": "B"},
-    ]
-    options = GradeTableOptions.model_validate({"classes": classes, "std": {"green_mean": 2.0}})
-    grader = GradeTable(options)
+    limits = {
+        "length_mm": {"at_least": 50.0},
+        "green_mean": {"below": 90.0},
+        "true_volume_cm3": {"at_least": 5.0},
+    }
+    grader = grading(table(("A", limits), ("B", {}), std={"green_mean": 2.0}))
     assert grader.needs() == {"volume"}
     seen = replace(PRODUCT, outline=Outline(1, np.zeros((4, 2)), features={"green_mean": 80.0}))
     volume = replace(volume_of(9000.0), true_mm3=whole(9000.0, 90.0))
@@ -144,10 +143,6 @@ def test_size_colour_and_volume_are_asked_of_whoever_knows() -> None:
     missing = grader.decide(PRODUCT, volume, None, grade)
     assert missing.label == "undecided"
     assert "there is no green_mean; there are length_mm, true_volume_cm3" in missing.reasons[0].text
-
-
-def table(*classes: tuple[str, dict[str, dict[str, float]]], **more: Any) -> dict[str, Any]:
-    return {"classes": [{"label": label, "limits": limits} for label, limits in classes], **more}
 
 
 @pytest.mark.parametrize(
@@ -293,15 +288,11 @@ def test_a_part_of_an_uncertainty_proves_nothing(tmp_path: Path, draws: int) -> 
 
 
 def test_faults_have_their_line(tmp_path: Path) -> None:
-    with pytest.raises(
-        ConfigurationError, match=r"recipe.yaml:11:3: stages.grader: it works on the result of"
-    ):
+    with pytest.raises(ConfigurationError, match=r"recipe.yaml:11:3: stages.grader: it works on the result"):
         Recipe.load(recipe(tmp_path, weigher=""))
     path = recipe(tmp_path)
     path.write_text(path.read_text("utf-8").replace("        - {label: light, lane: belt 2}\n", ""), "utf-8")
-    with pytest.raises(
-        ConfigurationError, match=r"recipe.yaml:15:7: .*there is a gap: no class takes weight_g"
-    ):
+    with pytest.raises(ConfigurationError, match=r"recipe.yaml:15:7: .*there is a gap: no class takes"):
         Recipe.load(path)
 
 
@@ -311,9 +302,7 @@ def test_a_part_of_the_uncertainty_proves_nothing_and_is_a_lower_bound(
 ) -> None:
     """Without an interval the table's own word counts, for no less than the part that is known."""
     estimate = Estimate(20.0 + off, part or math.nan, {"model": part} if part else {})
-    grader = GradeTable(
-        GradeTableOptions.model_validate({**TABLE, "std": {} if std is None else {"weight_g": std}})
-    )
+    grader = grading({**TABLE, "std": {} if std is None else {"weight_g": std}})
     label = grader.decide(PRODUCT, None, Weight(estimate), Grade("good")).label
     guard = 1.65 * max(part, std or 0.0)
     if std is None:
@@ -324,6 +313,5 @@ def test_a_part_of_the_uncertainty_proves_nothing_and_is_a_lower_bound(
 
 def test_a_weight_that_counts_the_air_below_proves_nothing() -> None:
     reason = Reason("visible-taken-for-true", "the visible volume is weighed")
-    grader = GradeTable(GradeTableOptions.model_validate(TABLE))
-    decision = grader.decide(PRODUCT, None, Weight(whole(30.0, 0.1), (reason,)), Grade("good"))
-    assert decision.label == "undecided"
+    weight = Weight(whole(30.0, 0.1), (reason,))
+    assert grading(TABLE).decide(PRODUCT, None, weight, Grade("good")).label == "undecided"

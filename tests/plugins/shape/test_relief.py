@@ -72,48 +72,31 @@ def test_the_drawing_names_what_stands_out() -> None:
     assert "plan-hump" in plan.drawing
     assert all(panel.drawing.startswith("<svg") for panel in maps)
     assert ["map-arrows" in panel.drawing for panel in maps] == [False, True, False, False, False]
-
-
-def test_without_sections_there_is_nothing_to_draw() -> None:
     assert shape_of(product_from(np.full((61, 240), np.nan)), 3.0).relief is None
 
 
-LIMITS = ShapeLimits(
-    ShapeLimitsOptions.model_validate(
-        {
-            "limits": [
-                {"feature": "dent_depth_mm", "at_most": 1.0, "label": "dent"},
-                {"feature": "hump_height_mm", "at_most": 1.5, "label": "hump"},
-                {"feature": "fullness_median", "at_most": 0.9, "label": "box"},
-            ]
-        }
-    )
-)
-RULES = FuzzyRules(
-    FuzzyRulesOptions.model_validate(
-        {
-            "terms": {
-                "hollow": {"feature": "hollow_depth_mm", "points": [[0.5, 0.0], [2.0, 1.0]]},
-                "full": {"feature": "fullness_median", "points": [[0.8, 0.0], [0.9, 1.0]]},
-            },
-            "rules": [
-                {"when": ["hollow"], "label": "dent"},
-                {"when": ["full", "not hollow"], "label": "box"},
-                {"when": ["not full", "not hollow"], "label": "good"},
-            ],
-        }
-    )
-)
-IN_MM = ArcCurvature(
-    ArcCurvatureOptions.model_validate(
-        {"space": "mm", "smoothing_rows": 15, "radius_min_mm": 0.0, "radius_max_mm": 8.0}
-    )
-)
+LIMITS = [
+    {"feature": "dent_depth_mm", "at_most": 1.0, "label": "dent"},
+    {"feature": "hump_height_mm", "at_most": 1.5, "label": "hump"},
+    {"feature": "fullness_median", "at_most": 0.9, "label": "box"},
+]
+RULES = {
+    "terms": {
+        "hollow": {"feature": "hollow_depth_mm", "points": [[0.5, 0.0], [2.0, 1.0]]},
+        "full": {"feature": "fullness_median", "points": [[0.8, 0.0], [0.9, 1.0]]},
+    },
+    "rules": [
+        {"when": ["hollow"], "label": "dent"},
+        {"when": ["full", "not hollow"], "label": "box"},
+        {"when": ["not full", "not hollow"], "label": "good"},
+    ],
+}
+IN_MM = {"space": "mm", "smoothing_rows": 15, "radius_min_mm": 0.0, "radius_max_mm": 8.0}
 CLASSIFIERS: dict[str, Any] = {
-    "limits": LIMITS,
-    "rules": RULES,
+    "limits": ShapeLimits(ShapeLimitsOptions.model_validate({"limits": LIMITS})),
+    "rules": FuzzyRules(FuzzyRulesOptions.model_validate(RULES)),
     "learned": Learned(learned_options()),
-    "arcs in mm": IN_MM,
+    "arcs in mm": ArcCurvature(ArcCurvatureOptions.model_validate(IN_MM)),
 }
 
 

@@ -13,30 +13,25 @@ from roemetry.config.dataset import Dataset
 from roemetry.records.view import View
 from roemetry.run.simulate import simulate
 
-RIGS: dict[str, dict[str, Any]] = {
-    "wide angle, strong distortion, 30 stripes": {
-        "camera": {
-            "focal_length_mm": 4.5,
-            "distance_mm": 110,
-            "distortion": {"k1": -0.28, "k2": 0.09, "p1": 0.002, "p2": -0.001, "k3": -0.01},
-        },
-        "laser": {"planes": 30, "spacing_mm": 3.4},
+RIG: dict[str, Any] = {
+    "camera": {
+        "focal_length_mm": 4.5,
+        "distance_mm": 110,
+        "tilt_x_deg": -9,
+        "tilt_y_deg": 12,
+        "distortion": {"k1": -0.28, "k2": 0.09, "p1": 0.002, "p2": -0.001, "k3": -0.01},
     },
-    "tilted camera, 21 stripes": {
-        "camera": {"tilt_x_deg": -9, "tilt_y_deg": 28, "distance_mm": 330},
-        "laser": {"planes": 21, "spacing_mm": 4.5, "projector_mm": [20, 0, 320]},
-    },
+    "laser": {"planes": 30, "spacing_mm": 3.4},
 }
+"""Wide angle, strong distortion, tilted camera, 30 stripes."""
 
 
 def view_of(rig: dict[str, Any]) -> View:
     return View(**{key: np.array(v) if key != "image_size" else tuple(v) for key, v in rig.items()})
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", list(RIGS))
-def test_the_true_rig_sees_every_true_point_where_the_image_does(scene, name: str) -> None:
-    stage = scene(**RIGS[name], product={"family": "egg"}).make()
+def test_the_true_rig_sees_every_true_point_where_the_image_does(scene) -> None:
+    stage = scene(**RIG, product={"family": "egg"}).make()
     view = view_of(stage.calibration_truth(1)["rig"])
     stripes = stage.simulate(0, 1).truth.stripes
     known = np.isfinite(stripes.x_px)
@@ -52,7 +47,7 @@ def test_the_true_rig_sees_every_true_point_where_the_image_does(scene, name: st
 
 def test_a_set_holds_the_truth_of_rig_and_targets_and_the_noise(scene, tmp_path: Path) -> None:
     camera = {"width_px": 360, "height_px": 270, "pixel_size_um": 17.78, "distortion": {"k1": -0.1}}
-    loaded = scene(product={"family": "egg"}, targets={"board": {"poses": 2}}, camera=camera)
+    loaded = scene(product={"family": "egg"}, targets={"board": {"poses": 1}}, camera=camera)
     simulate(loaded, tmp_path / "set", count=0, calibration="basic")
     data = Dataset(tmp_path / "set")
     assert list(data.faults()) == []
@@ -61,14 +56,13 @@ def test_a_set_holds_the_truth_of_rig_and_targets_and_the_noise(scene, tmp_path:
     assert data.sensor.gain_grey_per_electron == 0.0255
     assert data.sensor.read_noise_grey == pytest.approx(1.0)
     board = truth["chessboard"]
-    assert list(board["T_belt_board"]) == ["pose_01", "pose_02", "on_belt"]
+    assert list(board["T_belt_board"]) == ["pose_01", "on_belt"]
     view = view_of(truth["rig"])
     frames = loaded.make().calibration_frames(1)["chessboard"]
     assert frames["pose_01_plain"].sensor == data.sensor
     for name, pose in board["T_belt_board"].items():
-        found, corners = cv2.findChessboardCornersSB(
-            frames[f"{name}_plain"].pixels, (board["columns"] - 1, board["rows"] - 1)
-        )
+        pixels = frames[f"{name}_plain"].pixels
+        found, corners = cv2.findChessboardCornersSB(pixels, (board["columns"] - 1, board["rows"] - 1))
         assert found, name
         columns, rows = np.meshgrid(np.arange(1, board["columns"]), np.arange(1, board["rows"]))
         points = np.stack([columns.ravel(), rows.ravel(), 0 * rows.ravel()], axis=-1) * board["square_mm"]

@@ -24,16 +24,6 @@ def test_x_goes_right_and_y_goes_up_in_the_image():
     assert CAMERA.centre_mm[2] > 0.0
 
 
-def test_points_behind_the_camera_have_no_image():
-    assert np.isnan(CAMERA.project([0.0, 0.0, 900.0])).all()
-
-
-@pytest.mark.parametrize("pose", [np.eye(3), 2.0 * np.eye(4)])
-def test_a_pose_that_is_no_pose_is_refused(pose):
-    with pytest.raises(ValueError, match="T_belt_camera"):
-        Camera(4, 4, 0.01, 16.0, pose)
-
-
 def test_planes_pass_through_the_projector_and_their_feet():
     feet = [-9.0, 0.0, 8.5]
     fan = fan_through((160.0, -4.0, 300.0), feet, yaw_deg=0.6, pitch_deg=0.3, sigma_mm=0.3, peak_grey=200.0)
@@ -45,7 +35,11 @@ def test_planes_pass_through_the_projector_and_their_feet():
     assert (fan.x_mm(40.0, 0.0) < fan.x_mm(-40.0, 0.0)).all()
 
 
-def test_a_line_without_width_is_refused():
+def test_what_is_no_pose_and_no_line_is_refused():
+    assert np.isnan(CAMERA.project([0.0, 0.0, 900.0])).all(), "behind the camera"
+    for pose in (np.eye(3), 2.0 * np.eye(4)):
+        with pytest.raises(ValueError, match="T_belt_camera"):
+            Camera(4, 4, 0.01, 16.0, pose)
     with pytest.raises(ValueError, match="width"):
         fan_through((160.0, 0.0, 300.0), [0.0], sigma_mm=0.0, peak_grey=200.0)
     with pytest.raises(ValueError, match="normals"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from roemetry_simulate.optics import fan_through, looking_down
-from roemetry_simulate.render import Rig, Sensor, blurred, expose, laser_light, plain_light, render
+from roemetry_simulate.render import Rig, Sensor, expose, laser_light, plain_light, render
 from roemetry_simulate.solid import Block, EmptyBelt, on_grid
 from roemetry_simulate.surface import even, textured
 from roemetry_simulate.truth import stripe_centres
@@ -12,44 +12,15 @@ from roemetry_simulate.truth import stripe_centres
 PROJECTOR = np.array([160.0, 0.0, 300.0])
 
 
-def camera(width_px, height_px, pixel_size_mm=0.01):
-    return looking_down(
-        width_px,
-        height_px,
-        pixel_size_mm=pixel_size_mm,
-        focal_length_mm=16.0,
-        distance_mm=320.0,
-        tilt_x_deg=1.0,
-    )
-
-
 def rig(width_px=160, height_px=24, *, pixel_size_mm=0.01, belt_x_mm=(-8.8, 0.0, 8.7), sigma_mm=0.31):
     laser = fan_through(PROJECTOR, belt_x_mm, yaw_deg=0.6, sigma_mm=sigma_mm, peak_grey=300.0)
-    return Rig(camera(width_px, height_px, pixel_size_mm), Sensor(), laser)
-
-
-def centroids(light, truth, reach_px=9):
-    """Centroid minus truth of every stripe that keeps clear of the image's edge."""
-    errors = []
-    for i, row in zip(*np.nonzero(truth.on_product >= 0), strict=True):
-        x = truth.x_px[i, row]
-        first = round(x) - reach_px
-        if first < 0 or first + 2 * reach_px >= light.shape[1]:
-            continue
-        window = light[row, first : first + 2 * reach_px + 1]
-        errors.append(window @ np.arange(first, first + window.size) / window.sum() - x)
-    return np.array(errors)
-
-
-def test_a_noise_free_stripe_on_the_belt_is_centred_on_its_truth():
-    a_rig = rig()
-    light, _ = laser_light(a_rig, EmptyBelt(), even())
-    errors = centroids(
-        blurred(light, a_rig.sensor.psf_sigma_px), stripe_centres(a_rig.camera, a_rig.laser, EmptyBelt())
-    )
-    assert errors.size > 50
-    assert np.median(np.abs(errors)) < 0.02
-    assert np.abs(errors).max() < 0.05
+    optics = {
+        "pixel_size_mm": pixel_size_mm,
+        "focal_length_mm": 16.0,
+        "distance_mm": 320.0,
+        "tilt_x_deg": 1.0,
+    }
+    return Rig(looking_down(width_px, height_px, **optics), Sensor(), laser)
 
 
 def test_the_stripe_s_brightness_follows_plane_angle_and_albedo():
@@ -92,11 +63,8 @@ def test_the_camera_does_not_see_behind_a_body_with_an_overhang():
 
 
 def test_the_same_seed_gives_the_same_bytes():
-    a_rig, block, surface = (
-        rig(),
-        Block(20.0, 3.0, 5.0),
-        textured(5, laser_albedo=(0.7, 0.5), plain_albedo=(0.3, 0.6)),
-    )
+    a_rig, block = rig(), Block(20.0, 3.0, 5.0)
+    surface = textured(5, laser_albedo=(0.7, 0.5), plain_albedo=(0.3, 0.6))
     first = render(a_rig, block, surface, seed=4)
     assert first.dtype == np.uint8
     assert first.tobytes() == render(a_rig, block, surface, seed=4).tobytes()
@@ -124,11 +92,6 @@ def test_noise_has_the_sensor_s_variance():
     assert grey.var() == pytest.approx(100.0 * 0.0255 + 1.0 + 1.0 / 12.0, rel=0.05)
     speckled = expose(level, 0 * level, Sensor(psf_sigma_px=0.0, speckle_contrast=0.2), seed=1).astype(float)
     assert speckled.std() == pytest.approx(20.0, rel=0.05)
-
-
-def test_light_beyond_the_range_saturates():
-    bright = np.full((4, 4), 1e4)
-    assert (expose(0 * bright, bright, Sensor(), seed=1) == 255).all()
 
 
 @pytest.mark.parametrize("plain", [False, True])

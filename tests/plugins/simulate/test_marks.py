@@ -58,14 +58,6 @@ def test_dirt_and_patches_darken_the_belt_and_leave_the_truth(made) -> None:
     assert np.mean(np.abs(rest - 1.0) < 0.15) > 0.75
 
 
-def test_calibration_images_show_a_clean_whole_belt(quiet) -> None:
-    spoiled = {"dirt": {"count": 50}, "patches": [{"x_mm": [-70, 70], "y_mm": [-60, 60]}]}
-    clean = quiet().make().calibration_frames(1)["belt"]["belt"].pixels
-    np.testing.assert_array_equal(
-        quiet(belt=spoiled).make().calibration_frames(1)["belt"]["belt"].pixels, clean
-    )
-
-
 def test_a_dead_plane_lights_nothing_and_has_no_truth(made) -> None:
     power = [1.0] * 11
     whole = made(product={"family": "none"})
@@ -152,7 +144,11 @@ def test_of_a_colour_picture_the_laser_sees_its_own_channel(made, tmp_path: Path
         ({"targets": {"board": {"marker_mm": 9, "square_mm": 8}}}, "targets.board.marker_mm: must be less"),
         ({"product": {"items": [{"seed": 1, "options": {"density_g_per_cm3": -1}}]}},
          "product.items.0.options.density_g_per_cm3: input should be greater"),
-        ({"product": {"family": "eg"}}, "product.family: there is no product family `eg`"),
+        ({"product": {"family": "eg"}}, "product.family: there is no product family `eg`|egg"),
+        ({"product": {"family": "egg", "options": {"grid_step": 0.5}}},
+         "product.options.grid_step: unknown key|grid_step_mm"),
+        ({"camera": {"widht_px": 64}}, "scene.yaml:|unknown key `widht_px`|width_px"),
+        ({"laser": {"line_width_mm": 0}}, "laser.line_width_mm|greater than 0"),
         ({"product": {"family": "mesh", "options": {"file": "open.obj"}}}, "product.options.file"),
         ({"product": {"family": "egg", "in_frame": 30}}, "product.in_frame: item 1"),
     ],
@@ -189,12 +185,14 @@ def test_a_data_set_keeps_the_files_its_scene_names(quiet, tmp_path: Path) -> No
     again.make()
 
 
-def test_images_of_stripes_across_are_stored_turned(quiet) -> None:
-    upright, turned = quiet().make(), quiet(turn_deg=90).make()
+def test_stripes_across_are_stored_turned_and_calibration_images_show_a_clean_belt(quiet) -> None:
+    spoiled = {"dirt": {"count": 50}, "patches": [{"x_mm": [-70, 70], "y_mm": [-60, 60]}]}
+    upright, turned, dirty = quiet().make(), quiet(turn_deg=90).make(), quiet(belt=spoiled).make()
     assert (upright.turn_deg(), turned.turn_deg()) == (0, 90)
     one, other = upright.simulate(0, 3), turned.simulate(0, 3)
     # a counter-clockwise quarter turn rights it
     np.testing.assert_array_equal(np.rot90(other.frames[0].pixels), one.frames[0].pixels)
     np.testing.assert_array_equal(one.truth.stripes.x_px, other.truth.stripes.x_px)
-    block = turned.calibration_frames(1)["block"]["block"].pixels
-    assert block.shape == (160, 120)
+    clean, across, shown = (stage.calibration_frames(1) for stage in (upright, turned, dirty))
+    assert across["block"]["block"].pixels.shape == (160, 120)
+    np.testing.assert_array_equal(shown["belt"]["belt"].pixels, clean["belt"]["belt"].pixels)

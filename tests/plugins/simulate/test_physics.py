@@ -123,9 +123,9 @@ def test_a_full_well_and_the_bits_end_the_range():
     grey = expose(bright, 0 * bright, sensor, 1)
     assert grey.dtype == np.uint16
     assert np.median(grey) == 2010
-    assert (
-        expose(bright, 0 * bright, replace(sensor, full_well_e=np.inf, black_level_grey=3000.0), 1) == 4095
-    ).all()
+    endless = replace(sensor, full_well_e=np.inf, black_level_grey=3000.0)
+    assert (expose(bright, 0 * bright, endless, 1) == 4095).all()
+    assert (expose(0 * bright, bright, Sensor(), 1) == 255).all()
 
 
 def test_the_default_scene_is_the_herring_roe_rig():

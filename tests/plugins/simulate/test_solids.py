@@ -20,11 +20,6 @@ def half_ellipsoid(step_mm=0.125):
     return on_grid((-19, 19, -13, 13), step_mm, level(0.0), cap, lambda x, y: np.minimum(cap(x, y), 0.0))
 
 
-def test_a_block_has_the_volume_of_its_sides():
-    block = Block(105.0, 40.0, 16.5, yaw_deg=33.0)
-    assert block.visible_volume_mm3 == block.true_volume_mm3 == pytest.approx(105.0 * 40.0 * 16.5)
-
-
 def test_a_half_ellipsoid_has_the_formula_s_volume():
     dome = half_ellipsoid()
     formula = 2.0 / 3.0 * np.pi * A * B * C
@@ -62,11 +57,8 @@ def test_heights_between_nodes_and_outside():
     ("grid", "message"),
     [(np.zeros((4, 4)), "shape"), (np.full((4, 4, 3), np.nan), "NaN"), (np.ones((4, 4, 3)), "border")],
 )
-def test_a_grid_that_is_no_body_is_refused(grid, message):
+def test_what_is_no_body_is_refused(grid, message):
     with pytest.raises(ValueError, match=message):
         GriddedSolid(0.0, 0.0, 0.1, grid)
-
-
-def test_a_block_without_height_is_refused():
     with pytest.raises(ValueError, match="positive"):
         Block(10.0, 10.0, 0.0)

@@ -118,11 +118,3 @@ def test_belt_under_a_ball_bar_s_rod_is_seen_by_neither_light_nor_camera():
     belt = truth.xyz_mm[truth.on_product == 0]
     # light from X = 160 falls along X here: the rod shades the belt below it and nothing beside it
     assert (np.abs(belt[:, 1]) > 3.0).all()
-
-
-def test_a_laser_that_misses_the_view_leaves_nothing():
-    aside = fan_through((160.0, 0.0, 300.0), [80.0], sigma_mm=0.3, peak_grey=300.0)
-    truth = stripe_centres(CAMERA, aside, EmptyBelt())
-    assert np.isnan(truth.x_px).all()
-    assert (truth.on_product == -1).all()
-    assert (truth.hits == 0).all()

@@ -28,12 +28,8 @@ def test_additive_model_of_normal_inputs() -> None:
 
 def test_additive_model_of_rectangular_inputs() -> None:
     """JCGM 101, 9.2.3: u = 2.0, interval ± 3.88 where the law of propagation says ± 3.92."""
-    found = evaluate(
-        sum_of,
-        dict.fromkeys("abcd", Input(0.0, shape="rectangular", half=math.sqrt(3.0))),
-        seed=3,
-        draws=400_000,
-    )
+    inputs = dict.fromkeys("abcd", Input(0.0, shape="rectangular", half=math.sqrt(3.0)))
+    found = evaluate(sum_of, inputs, seed=3, draws=400_000)
     assert found.gum.high == pytest.approx(3.92, abs=5e-3)
     assert 0.5 * (found.monte_carlo.high - found.monte_carlo.low) == pytest.approx(3.88, abs=0.015)
 
@@ -69,9 +65,8 @@ def test_comparison_loss(x1: float, value: float, std: float, high: float) -> No
     """JCGM 101, 9.4.2: x₁² + x₂² with u = 0.005, where the linear law gives zero uncertainty at the
     origin.
     """
-    found = evaluate(
-        lambda a, b: a**2 + b**2, {"a": Input(x1, 0.005), "b": Input(0.0, 0.005)}, seed=3, draws=500_000
-    ).monte_carlo
+    inputs = {"a": Input(x1, 0.005), "b": Input(0.0, 0.005)}
+    found = evaluate(lambda a, b: a**2 + b**2, inputs, seed=3, draws=500_000).monte_carlo
     assert found.value == pytest.approx(value, abs=1e-6)
     assert found.std == pytest.approx(std, abs=1e-6)
     assert found.high == pytest.approx(high, abs=8e-6)
@@ -87,12 +82,7 @@ def test_draws_have_the_standard_uncertainty_that_is_assigned(shape: str, rng: n
 
 
 def test_degrees_of_freedom_by_welch_and_satterthwaite() -> None:
-    found = evaluate(
-        sum_of,
-        {"a": Input(0.0, 1.0, "t", freedom=4.0), "b": Input(0.0, 1.0, "t", freedom=4.0)},
-        seed=1,
-        draws=1000,
-    )
+    found = evaluate(sum_of, dict.fromkeys("ab", Input(0.0, 1.0, "t", freedom=4.0)), seed=1, draws=1000)
     assert found.freedom == pytest.approx(8.0)
 
 
@@ -159,14 +149,10 @@ def test_scores_against_reference_values(rng: np.random.Generator) -> None:
     honest = compare(rows, "mass_g", {row.id: (20.0, 0.01) for row in rows})
     assert "confirmed" in comparison_words(honest)[-1]
     assert honest[0].zeta == pytest.approx((honest[0].value - 20.0) / math.hypot(0.3, 0.01))
-    assert honest[0].en == pytest.approx(
-        honest[0].zeta * math.hypot(0.3, 0.01) / math.hypot(1.96 * 0.3, 0.02)
-    )
-    bold = compare(
-        [_row(f"{k}", 20.5, 0.1, outline=0.1) for k in range(10)],
-        "mass_g",
-        {f"{k}": (20.0, 0.01) for k in range(10)},
-    )
+    expanded = math.hypot(1.96 * 0.3, 0.02)
+    assert honest[0].en == pytest.approx(honest[0].zeta * math.hypot(0.3, 0.01) / expanded)
+    sure = [_row(f"{k}", 20.5, 0.1, outline=0.1) for k in range(10)]
+    bold = compare(sure, "mass_g", {row.id: (20.0, 0.01) for row in sure})
     assert "not confirmed" in comparison_words(bold)[-1]
     with pytest.raises(DataError, match="no product has both"):
         compare(rows, "mass_g", {"other": (1.0, 0.1)})

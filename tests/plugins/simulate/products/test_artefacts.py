@@ -87,7 +87,7 @@ def test_hits_lie_on_the_body_and_normals_point_out_of_it(name):
     rng = np.random.default_rng(4)
     camera = np.array([0.5 * (x_min + x_max) + 60.0, 0.5 * (y_min + y_max) - 20.0, 300.0])
     hits = 0
-    for _ in range(400):
+    for _ in range(150):
         aim = np.array([rng.uniform(x_min, x_max), rng.uniform(y_min, y_max), 0.0])
         d = (aim - camera) / np.linalg.norm(aim - camera)
         t = hit_parts(body.surfaces, body.boxes[0], camera, d, 1e9)
@@ -104,7 +104,7 @@ def test_hits_lie_on_the_body_and_normals_point_out_of_it(name):
         x, y, z = point + 1e-5 * normal
         top, bottom = solid.heights_mm(x, y)
         assert not (bottom <= z <= top)
-    assert hits > 50
+    assert hits > 20
 
 
 @pytest.mark.parametrize("name", NAMES)

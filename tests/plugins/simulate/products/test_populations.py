@@ -42,7 +42,7 @@ def population(request):
     return request.param, draws(request.param)
 
 
-def test_sizes_lie_within_the_documented_ranges(population):
+def test_sizes_and_places_lie_within_the_documented_ranges(population):
     name, products = population
     keys = ("length_mm", "width_mm", "thickness_mm", "underside_share")
     for key, (low, high) in zip(keys, RANGES[name], strict=True):
@@ -50,10 +50,6 @@ def test_sizes_lie_within_the_documented_ranges(population):
         assert (low <= sizes.min(), sizes.max() <= high) == (True, True), (key, sizes.min(), sizes.max())
         if key != "underside_share":
             assert np.ptp(sizes) > 0.4 * (high - low), f"{key} is drawn from a part of its range only"
-
-
-def test_products_are_turned_and_off_centre_within_the_documented_ranges(population):
-    _, products = population
     yaw = np.array([drawn.truth.figures["yaw_deg"] for drawn in products])
     assert np.abs(yaw).max() <= 15.0
     assert yaw.min() < -5.0
@@ -70,6 +66,8 @@ def test_every_kind_is_drawn_and_labelled(population):
         assert drawn.truth.mass_g == pytest.approx(
             drawn.truth.true_mm3 * 1e-3 * PRODUCTS[name].Options().density_g_per_cm3
         )
+        same = drawn.solid.visible_volume_mm3 == drawn.reference.visible_volume_mm3
+        assert same == (drawn.truth.defect == "none"), "only a defect parts a product from its reference"
 
 
 def test_the_bottom_is_never_over_the_top_nor_under_the_belt(population):
@@ -83,13 +81,6 @@ def test_the_bottom_is_never_over_the_top_nor_under_the_belt(population):
         assert bottom[known].min() >= -1e-9
         cell = (x_max - x_min) * (y_max - y_min) / 119**2
         assert top[known].sum() * cell == pytest.approx(drawn.truth.visible_mm3, rel=0.03)
-
-
-def test_only_a_defect_parts_a_product_from_its_reference(population):
-    _, products = population
-    for drawn in products:
-        same = drawn.solid.visible_volume_mm3 == drawn.reference.visible_volume_mm3
-        assert same == (drawn.truth.defect == "none")
 
 
 def test_a_seed_is_a_product(population):
@@ -132,6 +123,8 @@ def test_shares_say_what_is_drawn():
 def test_bad_options_are_refused(options, message):
     with pytest.raises(ValidationError, match=message):
         PRODUCTS["potato"].Options(**options)
+    with pytest.raises(ValueError, match=r"'wavy'.*healthy"):
+        draw(1, "wavy")
 
 
 def test_a_healthy_egg_is_the_formula_of_its_revolution():
@@ -168,11 +161,6 @@ def test_an_s_is_its_own_image_turned_by_half_a_turn_but_for_its_thick_end():
     assert 0.8 * record.length_mm < x_max - x_min < record.length_mm + record.width_mm
     ends = [np.nanmax(np.where(np.isfinite(top[:, k]), y[:, k], np.nan)) for k in (20, 80)]
     assert abs(ends[0] - ends[1]) > 3.0
-
-
-def test_an_unknown_kind_is_refused_by_name():
-    with pytest.raises(ValueError, match=r"'wavy'.*healthy"):
-        draw(1, "wavy")
 
 
 def test_a_healthy_skein_is_about_the_formula_of_its_shape():
