@@ -15,7 +15,6 @@ from roemetry.stages.hookspecs import KINDS
 from roemetry.stages.registry import discover
 from tests.docs.reading import REFERENCE, STAGES, blocks, coded, page, section, table, text_of
 
-
 REGISTRY = discover()
 
 
