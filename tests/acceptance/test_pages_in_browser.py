@@ -1,5 +1,7 @@
-"""Every kind of page, reports and comparisons of every shipped recipe, in a real browser: no script error,
-nothing overflows, contrast, keyboard, print."""
+"""Every kind of page in a real browser: no script error, nothing overflows, contrast, keyboard, print.
+
+Recipes whose pages differ in kind are looked at in every run; with `-m thorough`, every shipped recipe.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import pytest
 import typer
 
-from benchmarks.scans import recipe_of, scene, true_calibration
 from roemetry import Recipe, run_recipe
 from roemetry.cli.calibration import calibrate, check_calibration
 from roemetry_line.line_file import Line
@@ -29,14 +29,24 @@ from roemetry_tools.plan import plan
 from tests.browser import opened, served
 
 HOME = Path(__file__).resolve().parents[2] / "recipes"
-RECIPES = ["bread_roll", "egg", "fish_fillet", "potato", "weld_groove", "herring_roe"]
-RECIPES += ["herring_roe/by_words.yaml", "herring_roe/with_outline.yaml"]
-OTHERS = ["belt_scan", "potato_dots", "potato_grid"]
-"""A scan, dots, a grid: their reports differ in kind from those of the rest."""
-RIGS = ["bread_roll/rig.yaml", "egg/rig.yaml", "herring_roe/boards.yaml"]
+
+
+def some(quick: list[str], thorough: list[str]) -> list[Any]:
+    return [*quick, *(pytest.param(one, marks=pytest.mark.thorough) for one in thorough)]
+
+
+# with an outline and by a calibration with error; a groove; a scan, dots, a grid
+REPORTS = some(
+    ["herring_roe/with_outline.yaml", "weld_groove", "belt_scan", "potato_dots", "potato_grid"],
+    ["bread_roll", "egg", "fish_fillet", "potato", "herring_roe", "herring_roe/by_words.yaml"],
+)
+RECIPES = some(
+    ["herring_roe/with_outline.yaml"],
+    ["bread_roll", "egg", "fish_fillet", "potato", "weld_groove", "herring_roe"],
+)
+RIGS = some(["bread_roll/rig.yaml", "herring_roe/boards.yaml"], ["egg/rig.yaml"])
 """One for each way to calibrate."""
 
-FRUSTUM = {"length_mm": 40, "width_mm": 30, "top_share": 0.5, "height_mm": 12}
 PRODUCTS = 2
 WIDTHS = (1300, 420)
 """A desk's and a telephone's, px. Paper is as wide whichever it was: each page is printed from the first."""
@@ -136,19 +146,6 @@ def few_products_of(name: str, folder: Path, products: int = PRODUCTS) -> Path:
     return folder / (file or "recipe.yaml")
 
 
-BY_WORDS = "herring_roe/by_words.yaml"
-"""Differs from `with_outline.yaml` by its classifier alone: its report does, and hardly the other pages."""
-
-
-@pytest.fixture(
-    scope="module",
-    params=[pytest.param(one, marks=pytest.mark.thorough if one == BY_WORDS else ()) for one in RECIPES],
-)
-def recipe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A shipped recipe with few products."""
-    return few_products_of(request.param, tmp_path_factory.mktemp("pages"))
-
-
 def assert_fits(page: Any, address: str) -> None:
     found = page.evaluate(OVERFLOW)
     found += page.evaluate(UNREACHABLE)
@@ -164,17 +161,17 @@ def assert_prints(browser: Any, page_file: Path) -> None:
                 assert len(page.pdf()) > 10_000
 
 
-@pytest.fixture(scope="module", params=[*RECIPES, *OTHERS])
-def report(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
+@pytest.mark.parametrize("name", REPORTS)
+def test_a_report_turns_enlarges_and_prints(browser: Any, tmp_path: Path, name: str) -> None:
     recipe = few_products_of(
-        request.param, tmp_path_factory.mktemp("reports"), 1 if request.param in OTHERS else PRODUCTS
+        name, tmp_path, 1 if name in ("belt_scan", "potato_dots", "potato_grid") else PRODUCTS
     )
     run_recipe(Recipe.load(recipe, sets=["sinks=[report]", "draws=0"]), recipe.parent / "run")
-    return (recipe.parent / "run" / "report.html").as_uri()
+    for width in WIDTHS:
+        assert_a_report_answers(browser, (recipe.parent / "run" / "report.html").as_uri(), width)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-def test_a_report_turns_enlarges_and_prints(browser: Any, report: str, width: int) -> None:
+def assert_a_report_answers(browser: Any, report: str, width: int) -> None:
     with opened(browser, report, width=width) as page:
         assert_fits(page, report)
         panels = page.locator("figure.panel")
@@ -211,33 +208,28 @@ def test_a_report_turns_enlarges_and_prints(browser: Any, report: str, width: in
             assert len(page.pdf()) > 10_000
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-def test_a_comparison_prints(browser: Any, recipe: Path, width: int) -> None:
-    out = recipe.parent / "compared"
-    if not out.exists():
-        with contextlib.suppress(typer.Exit):
-            compare(recipe, vary=["extractor=centre-of-gravity,dominant-peak"], sets=["draws=0"], out=out)
-    address = (out / "comparison.html").as_uri()
-    with opened(browser, address, width=width) as page:
-        assert_fits(page, address)
-        if width == WIDTHS[0]:
-            assert len(page.pdf()) > 10_000
+@pytest.mark.parametrize("name", RECIPES)
+def test_a_comparison_prints_and_a_tuning_page_answers(browser: Any, tmp_path: Path, name: str) -> None:
+    recipe, out = few_products_of(name, tmp_path), tmp_path / "compared"
+    with contextlib.suppress(typer.Exit):
+        compare(recipe, vary=["extractor=centre-of-gravity,dominant-peak"], sets=["draws=0"], out=out)
+    assert_prints(browser, out / "comparison.html")
+    with served(recipe) as address:
+        for width in WIDTHS:
+            with opened(browser, address, width=width) as page:
+                page.wait_for_selector("body[data-took]")
+                assert_fits(page, address)
+                answers = page.get_attribute("body", "data-answers")
+                extractor = page.get_by_label("extractor: plugin")
+                another = (
+                    "gaussian" if extractor.input_value() == "centre-of-gravity" else "centre-of-gravity"
+                )
+                extractor.select_option(another)
+                page.wait_for_selector(f'body:not([data-answers="{answers}"])')
+                assert_fits(page, address)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-def test_a_tuning_page_answers(browser: Any, recipe: Path, width: int) -> None:
-    with served(recipe) as address, opened(browser, address, width=width) as page:
-        page.wait_for_selector("body[data-took]")
-        assert_fits(page, address)
-        answers = page.get_attribute("body", "data-answers")
-        extractor = page.get_by_label("extractor: plugin")
-        another = "gaussian" if extractor.input_value() == "centre-of-gravity" else "centre-of-gravity"
-        extractor.select_option(another)
-        page.wait_for_selector(f'body:not([data-answers="{answers}"])')
-        assert_fits(page, address)
-
-
-@pytest.mark.parametrize("rig", [RIGS[0], pytest.param(RIGS[1], marks=pytest.mark.thorough), RIGS[2]])
+@pytest.mark.parametrize("rig", RIGS)
 def test_a_calibration_page_prints(browser: Any, tmp_path: Path, rig: str) -> None:
     path, doctor = tmp_path / "calibration.html", tmp_path / "doctor.html"
     calibrate(HOME / rig, out=tmp_path / "calibration.yaml", report=path, doctor=doctor)
@@ -274,18 +266,6 @@ def test_certificates_and_a_control_chart_print(browser: Any, tmp_path: Path) ->
     assert [page.stem for page in pages] == ["acceptance", "calibration", "chart", "gauge"]
     for page in pages:
         assert_prints(browser, page)
-
-
-def test_a_report_of_a_scan_prints(browser: Any, tmp_path: Path) -> None:
-    sim = scene(160, 160, family="truncated-pyramid", product=FRUSTUM, counts_per_line=50)
-    made = sim.simulate(0, 1)
-    assert made.counts is not None
-    cv2.imwrite(str(tmp_path / "scan.png"), made.frames[0].pixels)
-    counts = "".join(f"{count},{k}\n" for k, count in enumerate(made.counts))
-    (tmp_path / "scan.csv").write_text(f"encoder_count,frame_number\n{counts}", "utf-8")
-    recipe = recipe_of(true_calibration(sim), tmp_path, sinks=["report"])
-    run_recipe(recipe, tmp_path / "run")
-    assert_prints(browser, tmp_path / "run" / "report.html")
 
 
 def test_the_page_of_a_line_shows_its_last_product(browser: Any, line: Callable[..., Path]) -> None:

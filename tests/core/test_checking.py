@@ -27,7 +27,6 @@ from roemetry.calibrating import (
     read_block,
 )
 from roemetry.calibrating.weight_check import WeighedPair, check_weights
-from roemetry.cli.calibration import show
 from roemetry.cli.main import app
 from roemetry.config.recipe import Recipe
 from roemetry.errors import CalibrationError, DataError, OutputError
@@ -163,6 +162,9 @@ def test_the_chart_gives_back_what_was_written(tmp_path: Path) -> None:
         (content,) = base.execute("SELECT content FROM checks").fetchone()
     assert json.loads(content, parse_constant=pytest.fail)["width"]["value"] is None, "NaN is no JSON"
     assert len(chart.checks()) == 3
+    text = chart_page(chart.checks(), "line <3>")
+    assert text.count('class="point"') == 2 * 3, "height and belt; the width was not measured"
+    assert "line &lt;3&gt;" in text
 
 
 def test_what_is_no_chart_is_named_and_left_as_it_is(tmp_path: Path) -> None:
@@ -251,20 +253,6 @@ def test_a_run_carries_the_doubts(line: Callable[..., Path], tmp_path: Path) -> 
     assert "calibration-out" in {reason["code"] for reason in json.loads(row)["reasons"]}
 
 
-def test_what_was_not_measured_is_said_in_words(capsys: pytest.CaptureFixture[str]) -> None:
-    show(check())
-    assert "  width_mm   not measured\n" in capsys.readouterr().out
-
-
-def test_a_page_of_many_checks_draws_them_all() -> None:
-    checks = [check(12.0 + 0.01 * n) for n in range(-5, 6)]
-    text = chart_page(checks, "line <3>")
-    assert text.count('class="point"') == 2 * len(checks), "height and belt; the width was not measured"
-    assert "line &lt;3&gt;" in text
-    one = chart_page([check()], "line")
-    assert ">1<" in one and ">1.0<" not in one, "checks are counted in whole numbers"
-
-
 def pairs(line_over_scale: np.ndarray, std: float = 0.02) -> list[WeighedPair]:
     scale = 25.0
     return [
@@ -303,18 +291,20 @@ def test_uncertainties_that_are_too_small_are_seen(rng: np.random.Generator) -> 
     assert check.verdict == "refit"
     assert check.scatter_over_stated == pytest.approx(2.0, abs=1e-9)
     assert any("2.00 times as wide as stated" in sentence for sentence in check.words)
-
-
-def test_what_says_nothing_is_told() -> None:
-    assert check_weights(pairs(np.ones(4))).verdict == "too few"
-    unstated = [pair._replace(line_std_g=math.nan) for pair in pairs(np.tile([0.98, 1.02], 5))]
-    check = check_weights(unstated)
-    assert check.verdict == "holds"
-    assert math.isnan(check.within_share)
-    with pytest.raises(DataError, match="no product was weighed by line and scale both"):
-        check_weights([])
-    with pytest.raises(DataError, match="not the same unit"):
-        check_weights(pairs(np.full(6, 1000.0)))
+    narrow = pairs(np.tile([0.98, 1.02], 10), std=0.01)
+    rough = [pair._replace(scale_std_g=math.sqrt(3.0) * pair.line_std_g) for pair in narrow]
+    assert check_weights(narrow).scatter_over_stated == pytest.approx(2.0, abs=1e-9)
+    assert check_weights(rough).scatter_over_stated == pytest.approx(1.0, abs=1e-9), "the scale's own counts"
+    unstated = [pair._replace(line_std_g=math.nan) for pair in narrow]
+    assert check_weights(unstated).verdict == "holds"
+    assert math.isnan(check_weights(unstated).within_share)
+    assert check_weights(narrow[:4]).verdict == "too few"
+    for none, says in (
+        ([], "weighed by line and scale both"),
+        (pairs(np.full(6, 1000.0)), "not the same unit"),
+    ):
+        with pytest.raises(DataError, match=says):
+            check_weights(none)
 
 
 def test_a_bias_within_the_tolerance_never_adds_up_to_running_away() -> None:
@@ -323,13 +313,6 @@ def test_a_bias_within_the_tolerance_never_adds_up_to_running_away() -> None:
     assert check_weights(sure, 0.01).since == ""
     assert check_weights(sure, 0.0).since == "p0"
     assert check_weights(pairs(np.full(200, 1.02), std=0.005), 0.01).since == "p0"
-
-
-def test_the_scales_own_uncertainty_is_part_of_a_difference() -> None:
-    off = np.tile([0.98, 1.02], 10)
-    rough = [pair._replace(scale_std_g=math.sqrt(3.0) * pair.line_std_g) for pair in pairs(off, std=0.01)]
-    assert check_weights(pairs(off, std=0.01)).scatter_over_stated == pytest.approx(2.0, abs=1e-9)
-    assert check_weights(rough).scatter_over_stated == pytest.approx(1.0, abs=1e-9)
 
 
 def test_a_run_refuses_to_begin_without_its_check(line: Callable[..., Path], tmp_path: Path) -> None:

@@ -56,14 +56,11 @@ def residuals(**changes) -> Residuals:
     return replace(given, **changes)
 
 
-def test_coverage_counts_cells() -> None:
+def test_coverage_counts_cells_and_correlations_leave_out_what_is_certain() -> None:
     count = coverage(residuals(), (RIG.rows, RIG.columns))
     assert count.sum() == 500
     assert (count > 0).mean() == pytest.approx(0.5)
     assert (count[:, 4:] == 0).all(), "nothing to the right"
-
-
-def test_correlations_leave_out_what_is_certain() -> None:
     matrix, names = correlations(calibration())
     assert names[0] == "omega_mm_per_px 1"
     assert "mm_per_px" not in names
@@ -84,14 +81,6 @@ def test_the_page_shows_what_the_calibrator_can_show() -> None:
     assert text.count('class="point"') == 500
     assert "Hardly told apart" in text
     assert "http" not in re.sub(r"http://www.w3.org|http-equiv", "", text)
-
-
-def test_the_verb_writes_it(root: Path, tmp_path: Path) -> None:
-    rig = str(root / "recipes" / "herring_roe" / "rig.yaml")
-    words = ["calibrate", rig, "--out", str(tmp_path / "c.yaml"), "--report", str(tmp_path / "c.html")]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, done.output
-    assert "gives no verdict of its own" in (tmp_path / "c.html").read_text("utf-8")
 
 
 def test_what_its_own_checks_refuse_is_written_only_on_demand_and_marked(

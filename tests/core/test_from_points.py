@@ -87,8 +87,3 @@ def test_a_recipe_takes_stages_as_objects() -> None:
         folder="recipes/herring_roe",
     )
     assert recipe.stages["extractor"].options.model_dump()["threshold"] == 25
-
-
-def test_the_public_names_are_those_of_dir() -> None:
-    assert set(roemetry.__all__) <= set(dir(roemetry))
-    assert not [name for name in dir(roemetry) if name not in roemetry.__all__ and not name.startswith("__")]

@@ -101,27 +101,39 @@ def test_lines_that_no_sensor_gives_refuse_the_image(fault: str, line: str, rng:
         prepare(Acquisition("a", (replace(frame, pixels=bad),)), turn_deg=0, subtract="none")
 
 
+def lines(
+    rng: np.random.Generator,
+    shift_px: float | NDArray[np.float64] = 0.0,
+    slant: float = 0.3,
+    pitch_px: float = 40.0,
+    sigma_px: float = 1.4,
+    peak: float = 150.0,
+) -> NDArray[np.float64]:
+    """Bright slanted lines with noise, in 240 × 240 pixels."""
+    column, row = np.meshgrid(np.arange(240.0), np.arange(240.0))
+    across = (column + slant * row + shift_px) % pitch_px - 0.5 * pitch_px
+    return 8.0 + peak * np.exp(-0.5 * (across / sigma_px) ** 2) + rng.normal(0.0, 2.0, row.shape)
+
+
+def frame_of(light: NDArray[np.float64]) -> Frame:
+    return Frame(np.clip(light, 0, 255).astype(np.uint8), role="laser", name="a", bit_depth=8)
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("specks", [0.0, 0.03])
 def test_an_image_joined_of_two_is_refused_where_it_is_joined(
     axis: int, specks: float, rng: np.random.Generator
 ) -> None:
-    def image(shift_px: float) -> NDArray[np.float64]:
-        column, row = np.meshgrid(np.arange(240.0), np.arange(240.0))
-        across = (column + 0.3 * row + shift_px) % 40.0 - 20.0
-        light = 8.0 + 150.0 * np.exp(-0.5 * (across / 1.4) ** 2) + rng.normal(0.0, 2.0, row.shape)
-        light[rng.random(row.shape) < specks] = 255.0
-        return light
-
-    def frame(light: NDArray[np.float64]) -> Frame:
-        return Frame(np.clip(light, 0, 255).astype(np.uint8), name="a")
-
-    check_joins(frame(image(0.0)))
-    joined = np.concatenate(
-        [np.split(image(0.0), [130], axis)[0], np.split(image(19.0), [130], axis)[1]], axis
-    )
+    one, other = lines(rng), lines(rng, 19.0)
+    for light in (one, other):
+        light[rng.random(light.shape) < specks] = 255.0
+    check_joins(frame_of(one))
+    joined = np.concatenate([np.split(one, [130], axis)[0], np.split(other, [130], axis)[1]], axis)
     with pytest.raises(DataError, match=f"the {('rows', 'columns')[axis]} 129 and 130"):
-        check_joins(frame(joined))
+        check_joins(frame_of(joined))
+    row = np.arange(240.0)[:, None]
+    with pytest.raises(DataError, match="between the rows"):  # of two frames that take turns
+        check_joins(frame_of(lines(rng, 15.0 * (row % 2) * (row > 100))))
 
 
 @pytest.mark.parametrize("slant", [0.0, 0.004, 0.3])
@@ -129,19 +141,9 @@ def test_an_image_joined_of_two_is_refused_where_it_is_joined(
 def test_lines_as_thin_as_a_pixel_are_no_joins(
     slant: float, sigma_px: float, rng: np.random.Generator
 ) -> None:
-    column, row = np.meshgrid(np.arange(240.0), np.arange(240.0))
-    across = (column + slant * row + 0.2) % 30.0 - 15.0
-    light = 8.0 + 200.0 * np.exp(-0.5 * (across / sigma_px) ** 2) + rng.normal(0.0, 2.0, row.shape)
+    light = lines(rng, 0.2, slant, 30.0, sigma_px, 200.0)
     for pixels in (light, light.T):
-        check_joins(Frame(np.clip(pixels, 0, 255).astype(np.uint8), name="a"))
-
-
-def test_rows_of_two_frames_that_take_turns_are_refused(rng: np.random.Generator) -> None:
-    column, row = np.meshgrid(np.arange(240.0), np.arange(240.0))
-    across = (column + 0.3 * row + 15.0 * (row % 2) * (row > 100)) % 40.0 - 20.0
-    light = 8.0 + 150.0 * np.exp(-0.5 * (across / 1.4) ** 2) + rng.normal(0.0, 2.0, row.shape)
-    with pytest.raises(DataError, match="between the rows"):
-        check_joins(Frame(np.clip(light, 0, 255).astype(np.uint8), name="a"))
+        check_joins(frame_of(pixels))
 
 
 def test_dark_rows_of_a_sensor_that_clips_are_no_fault(rng: np.random.Generator) -> None:

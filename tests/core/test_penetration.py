@@ -117,8 +117,16 @@ def test_two_colours_in_one_image(line: Path, rig, half: str, film: float) -> No
     assert 0.03 <= light.std_mm < 0.05
 
 
-def test_one_image_of_a_whole_block_or_of_none_is_refused(line: Path, rig) -> None:
-    """Without a second image the half must be named; too little of a top is said."""
+def test_what_cannot_be_told_from_the_images_is_refused(line: Path, rig) -> None:
+    """Without a second image the half must be named; too little of a top is said, as is a film too thick."""
+    with pytest.raises(ConfigurationError, match=r"recipe.yaml:5:1: penetration: .*No such file"):
+        Recipe.load(line)
+    LIGHT.save(line / "penetration.yaml")
+    thick = CliRunner().invoke(app, words(line, film="14"))
+    assert isinstance(thick.exception, DataError)
+    assert "14 mm thick" in str(thick.exception)
+    row = row_of(Recipe.load(line), line / "run")
+    assert "penetration-other-calibration" in {reason["code"] for reason in row["reasons"]}
     target = ["--film", "0", "--target", str(line / "block.yaml")]
     bare = str(line / "bare" / "block.png")
     neither = CliRunner().invoke(app, ["fit-penetration", str(line), bare, *target])
@@ -148,12 +156,6 @@ def test_the_calibration_counts_where_halves_lie_apart(line: Path, rig) -> None:
     assert light.std_mm == pytest.approx(0.01 * 2.0 / np.sqrt(5.0), rel=0.3)
 
 
-def test_another_calibration_is_said(line: Path) -> None:
-    LIGHT.save(line / "penetration.yaml")
-    row = row_of(Recipe.load(line), line / "run")
-    assert "penetration-other-calibration" in {reason["code"] for reason in row["reasons"]}
-
-
 def test_the_offset_stands_in_the_budget(line: Path) -> None:
     """An offset known to 5 % of a mm on a flat top: the volume's part is area × 0.05 mm."""
     recipe = Recipe.load(line, sets=["penetration="])
@@ -164,13 +166,3 @@ def test_the_offset_stands_in_the_budget(line: Path) -> None:
     per_mm = (volume["visible_mm3"]["value"] - plain["visible_mm3"]["value"]) / LIGHT.offset_mm
     part = volume["visible_mm3"]["budget"]["penetration"]
     assert part == pytest.approx(LIGHT.std_mm * per_mm, rel=0.3)  # 100 draws: 7 %, four of those
-
-
-def test_wrong_input_is_named(line: Path) -> None:
-    LIGHT.save(line / "penetration.yaml")
-    thick = CliRunner().invoke(app, words(line, film="14"))
-    assert isinstance(thick.exception, DataError)
-    assert "14 mm thick" in str(thick.exception)
-    (line / "penetration.yaml").unlink()
-    with pytest.raises(ConfigurationError, match=r"recipe.yaml:5:1: penetration: .*No such file"):
-        Recipe.load(line)

@@ -216,13 +216,6 @@ def test_the_largest_heights_interval_holds_though_noise_lifts_it(rng: np.random
     assert np.median([height.std for height in found]) == pytest.approx(rms_mm, rel=0.35)
 
 
-def test_without_the_peaks_uncertainty_only_the_largest_heights_budget_says_what_is_known() -> None:
-    height = largest_height(std_px=math.nan, relative=OMEGA_RELATIVE, draws=200)
-    assert math.isnan(height.std)
-    assert math.isnan(height.interval[0])
-    assert set(height.budget) == {"calibration"}
-
-
 def test_correlated_peaks_weigh_more() -> None:
     """Noise with exp(−Δ²/(4ℓ²)) sums to √(2ℓ√π) times as much over long stripes."""
     given = scene()
@@ -249,22 +242,36 @@ def test_bridged_points_move_with_their_ends() -> None:
 
 def test_what_is_not_stated_gives_no_interval() -> None:
     given = scene()
-    found = done(given, Silent(), Tenth(), draws=60)
-    assert math.isnan(found.volume.visible_mm3.std)
-    assert math.isnan(found.weight.mass_g.std)
-    assert math.isnan(found.volume.visible_mm3.interval[0])
-    assert [reason.code for reason in found.volume.reasons] == ["volume-model-not-stated"]
-    assert set(found.volume.visible_mm3.budget) == {"peak noise", "calibration"}
+    for draws in (60, 0):
+        found = done(given, Silent(), Tenth(), draws=draws)
+        assert math.isnan(found.volume.visible_mm3.std)
+        assert math.isnan(found.weight.mass_g.std)
+        assert np.isnan(found.volume.visible_mm3.interval).all()
+        assert [reason.code for reason in found.volume.reasons] == ["volume-model-not-stated"]
+        assert set(found.volume.visible_mm3.budget) == {"peak noise", "calibration"}
     found = done(given, Silent(), WithInterval(), draws=60)
     assert math.isnan(found.weight.mass_g.std), "and an interval of the weigher's own is none of the whole"
     assert np.isnan(found.weight.mass_g.interval).all()
-    silent = scene(RIG.stripe_map(RIG.dome()))
-    silent = replace(
-        silent, stripes=replace(silent.stripes, x_std_px=np.full_like(silent.stripes.x_px, np.nan))
-    )
-    found = done(silent, SumOfHeights(), draws=60)
+    unknown = np.full_like(given.stripes.x_px, np.nan)
+    silent = replace(given, stripes=replace(given.stripes, x_std_px=unknown))
+    classifier = Softly()
+    classifier.limit = closed_form(given)[0]
+    found = done(silent, SumOfHeights(), classifier=classifier, draws=200)
     assert [reason.code for reason in found.volume.reasons] == ["peak-noise-not-stated"]
     assert set(found.volume.visible_mm3.budget) == {"calibration", "volume model"}
+    assert found.grade.features_std == {}
+    assert math.isnan(found.height_max_mm.std) and math.isnan(found.height_max_mm.interval[0])
+    assert set(found.height_max_mm.budget) == {"calibration"}
+
+
+def test_draws_that_are_refused_state_nothing_and_a_side_that_is_refused_is_as_far_as_the_other() -> None:
+    refusing = Refusing()
+    refusing.limit = closed_form(scene())[0] + 1e-6
+    found = done(scene(), refusing, draws=100)
+    assert math.isnan(found.volume.visible_mm3.std)
+    assert [reason.code for reason in found.volume.reasons] == ["draws-refused"]
+    linear, usual = (done(scene(), by, draws=0).volume.visible_mm3 for by in (refusing, SumOfHeights()))
+    assert linear.budget == pytest.approx(usual.budget, rel=1e-6)
 
 
 def contour(std_px: float) -> Outline:
@@ -310,14 +317,6 @@ def test_an_outline_of_unknown_error_matters_only_where_it_is_used() -> None:
     assert math.isfinite(unused.volume.visible_mm3.std)
 
 
-def test_too_many_refused_draws_state_nothing() -> None:
-    refusing = Refusing()
-    refusing.limit = closed_form(scene())[0] + 1e-6
-    found = done(scene(), refusing, draws=100)
-    assert math.isnan(found.volume.visible_mm3.std)
-    assert [reason.code for reason in found.volume.reasons] == ["draws-refused"]
-
-
 @pytest.mark.parametrize(
     ("draws", "said"), [(1, "one draw has no scatter"), (3, "few"), (4, "few"), (19, "few"), (20, "")]
 )
@@ -338,19 +337,10 @@ def test_the_grades_probability_is_the_share_of_draws() -> None:
     found = done(given, SumOfHeights(), classifier=classifier)
     assert found.grade.label == "large"
     assert found.grade.probability == pytest.approx(0.8413, abs=0.05)
-
-
-class NeverSure(AboveLimit):
-    """Names no class, and has a feature that no draw changes, of a value no sum of equals hits."""
-
-    def classify(self, product, *, rng=None):
-        return Grade("unknown", features={"always": 0.1})
-
-
-def test_an_unknown_grade_has_no_probability_and_what_never_changes_no_scatter() -> None:
-    found = done(scene(), SumOfHeights(), classifier=NeverSure(), draws=60)
-    assert math.isnan(found.grade.probability)
-    assert found.grade.features_std == {"always": 0.0}
+    classifier.limit = value - 1e-6
+    assert done(given, SumOfHeights(), None, classifier, draws=0).grade.probability < 0.9
+    classifier.limit *= 0.5
+    assert done(given, SumOfHeights(), None, classifier, draws=0).grade.probability == 1.0
 
 
 class Softly(AboveLimit):
@@ -375,15 +365,6 @@ def test_the_models_doubt_and_the_measurements_are_one_probability() -> None:
     assert std < 25.0, "the line must not end within the draws"
     assert found.grade.probability == pytest.approx(0.53, abs=4 * std / 200.0 / math.sqrt(DRAWS))
     assert found.grade.features_std["total_mm"] == pytest.approx(std, rel=0.1)
-
-
-def test_features_have_no_uncertainty_where_peaks_have_none() -> None:
-    given = scene()
-    bare = replace(given, stripes=replace(given.stripes, x_std_px=np.full_like(given.stripes.x_px, np.nan)))
-    classifier = Softly()
-    classifier.limit = closed_form(given)[0]
-    found = done(bare, SumOfHeights(), classifier=classifier)
-    assert found.grade.features_std == {}
 
 
 def test_linearised_parts_are_the_closed_forms() -> None:
@@ -414,25 +395,3 @@ def test_linearised_uncertainty_hangs_on_no_name_and_agrees_with_draws() -> None
     drawn = done(scene(), SumOfHeights(), Tenth())
     assert one.volume.visible_mm3.std == pytest.approx(drawn.volume.visible_mm3.std, rel=0.09)
     assert one.weight.mass_g.std == pytest.approx(drawn.weight.mass_g.std, rel=0.3)  # 50 draws of its model
-
-
-def test_linearisation_states_nothing_that_is_not_stated() -> None:
-    found = done(scene(), Silent(), Tenth(), draws=0)
-    assert math.isnan(found.volume.visible_mm3.std)
-    assert math.isnan(found.weight.mass_g.std)
-    assert [reason.code for reason in found.volume.reasons] == ["volume-model-not-stated"]
-    refusing = Refusing()
-    refusing.limit = closed_form(scene())[0] + 1e-6
-    found = done(scene(), refusing, draws=0).volume.visible_mm3
-    usual = done(scene(), SumOfHeights(), draws=0).volume.visible_mm3
-    assert found.budget == pytest.approx(usual.budget, rel=1e-6), (
-        "one side that is refused is as far as the other"
-    )
-
-
-def test_a_class_border_lowers_the_linearised_probability() -> None:
-    border = AboveLimit()
-    border.limit = closed_form(scene())[0] - 1e-6
-    assert done(scene(), SumOfHeights(), None, border, draws=0).grade.probability < 0.9
-    border.limit *= 0.5
-    assert done(scene(), SumOfHeights(), None, border, draws=0).grade.probability == 1.0

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 from jsonschema import Draft202012Validator
 from pydantic import Field
-from typer.testing import CliRunner
 
-from roemetry.cli.main import app
 from roemetry.config.recipe import Recipe
 from roemetry.config.recipe_file import StageChoice
 from roemetry.config.resolve import StageResolver, misfit_of
@@ -201,9 +200,6 @@ def test_a_file_is_looked_for_beside_the_recipe(tmp_path: Path) -> None:
     told = chosen.described()["options"]["table"]
     assert told == f"weighed.csv sha256 {sha256_of(tmp_path / 'weighed.csv')}"
     assert str(tmp_path) not in str(chosen.described())
-
-
-def test_a_missing_file_is_a_fault_with_its_place(tmp_path: Path) -> None:
     asked = chooser(tmp_path)
     asked.choose("weigher", StageChoice(use="from-table", options={"table": "no.csv"}), "stages", "weigher")
     (fault,) = asked.faults
@@ -235,21 +231,11 @@ def test_a_class_that_cannot_be_a_stage_is_told_why(cls: type, kind: str, says: 
     assert misfit_of(cls, kind) == says
 
 
-def test_a_class_without_its_verb_is_a_fault_of_the_recipe(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(OneStage, "load", lambda self, registered: NoVerb)
-    asked = chooser(tmp_path)
-    assert asked.choose("weigher", StageChoice(use="from-table"), "stages", "weigher") is None
-    (fault,) = asked.faults
-    assert fault.endswith("from-table of test 1 (test) cannot be used: class NoVerb does not define `weigh`")
-
-
-@pytest.fixture(scope="module")
-def recipe() -> Draft202012Validator:
-    schema = schema_of("recipe", discover())
-    Draft202012Validator.check_schema(schema)
-    return Draft202012Validator(schema)
+@cache
+def schema(kind: Any) -> Draft202012Validator:
+    made = schema_of(kind, discover())
+    Draft202012Validator.check_schema(made)
+    return Draft202012Validator(made)
 
 
 def good() -> dict[str, Any]:
@@ -274,12 +260,6 @@ def changed(*path: str | int, to: Any) -> dict[str, Any]:
     return dict(data)
 
 
-def test_a_good_recipe_is_valid(recipe: Draft202012Validator) -> None:
-    assert not list(recipe.iter_errors(good()))
-    assert not list(recipe.iter_errors(changed("stages", "coder", to="somebody/their-coder")))
-    assert not list(recipe.iter_errors(changed("stages", "coder", to=None)))
-
-
 SHIPPED = [
     pytest.param(path, kind, id=f"{path.parent.name}/{path.name}")
     for path in sorted((Path(__file__).parents[2] / "recipes").rglob("*.yaml"))
@@ -290,7 +270,7 @@ SHIPPED = [
 
 @pytest.mark.parametrize(("path", "kind"), SHIPPED)
 def test_every_shipped_file_is_valid(path: Path, kind: Any) -> None:
-    assert not list(Draft202012Validator(schema_of(kind, discover())).iter_errors(read(path).data))
+    assert not list(schema(kind).iter_errors(read(path).data))
 
 
 @pytest.mark.parametrize(
@@ -309,8 +289,11 @@ def test_every_shipped_file_is_valid(path: Path, kind: Any) -> None:
     ],
     ids=str,
 )
-def test_a_wrong_recipe_is_marked(recipe: Draft202012Validator, wrong: dict[str, Any]) -> None:
-    assert list(recipe.iter_errors(wrong))
+def test_a_wrong_recipe_is_marked(wrong: dict[str, Any]) -> None:
+    assert list(schema("recipe").iter_errors(wrong))
+    assert not list(schema("recipe").iter_errors(good()))
+    assert not list(schema("recipe").iter_errors(changed("stages", "coder", to="somebody/their-coder")))
+    assert not list(schema("recipe").iter_errors(changed("stages", "coder", to=None)))
 
 
 def test_a_stage_that_cannot_be_imported_is_known_by_name() -> None:
@@ -323,15 +306,6 @@ def test_a_stage_that_cannot_be_imported_is_known_by_name() -> None:
         for stage in registry.of_kind("extractor")
     ]
     others = [stage for stage in registry.stages if stage.entry.kind != "extractor"]
-    schema = schema_of("recipe", Registry((*others, *broken), ()))
+    made = schema_of("recipe", Registry((*others, *broken), ()))
     data = changed("stages", "extractor", "options", "anything", to=3)
-    assert not list(Draft202012Validator(schema).iter_errors(data))
-
-
-def test_the_verb_writes_a_file_and_names_what_it_knows(tmp_path: Path) -> None:
-    file = tmp_path / "recipe.schema.json"
-    assert CliRunner().invoke(app, ["schema", "recipe", "--out", str(file)]).exit_code == 0
-    assert "Draft202012" in repr(Draft202012Validator(read(file).data))
-    refused = CliRunner().invoke(app, ["schema", "recipes"])
-    assert refused.exception is not None
-    assert "recipe, rig, scene" in str(refused.exception)
+    assert not list(Draft202012Validator(made).iter_errors(data))

@@ -40,9 +40,6 @@ def test_the_innermost_line_of_the_package_is_named() -> None:
     line = caught.__code__.co_firstlineno + 3
     assert plugin_frame(caught(), __name__) == f"{Path(__file__).name}:{line}"
     assert str(plugin_frame(caught(), "json")).startswith("decoder.py:")
-
-
-def test_no_place_is_better_than_a_wrong_one() -> None:
     assert plugin_frame(caught(), "roemetry_paper.dominant_peak") is None
     assert plugin_frame(ValueError("never raised"), __name__) is None
 

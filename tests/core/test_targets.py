@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -94,18 +95,6 @@ def test_pages() -> None:
     assert (lay_out(CHARUCO, "0", None).width_mm, lay_out(CHARUCO, "0", "a3").width_mm) == (210.0, 297.0)
     wide = CHARUCO.model_copy(update={"columns": 30})
     assert lay_out(wide, "0", None).width_mm == 297.0
-    with pytest.raises(ConfigurationError, match=r"needs a page of .* a4 is 210"):
-        lay_out(CHARUCO.model_copy(update={"pitch_mm": 30.0}), "0", "a4")
-    with pytest.raises(ConfigurationError, match="there is no page size `b4`"):
-        lay_out(CHARUCO, "0", "b4")
-
-
-def test_markers_that_are_not_there_are_named() -> None:
-    with pytest.raises(ConfigurationError, match="no dictionary DICT_9X9"):
-        board_shapes(CHARUCO.model_copy(update={"dictionary": "DICT_9X9"}))
-    few = CHARUCO.model_copy(update={"dictionary": "DICT_4X4_50", "columns": 20, "rows": 20})
-    with pytest.raises(ConfigurationError, match="takes 200 markers, DICT_4X4_50 has 50"):
-        board_shapes(few)
 
 
 def test_svg_and_pdf_have_the_true_size() -> None:
@@ -152,24 +141,41 @@ def test_solids_are_closed_and_have_their_volume(target, expected_mm3: float, re
     assert open_edges(triangles) == 0
     assert volume_mm3(triangles) == pytest.approx(expected_mm3, rel=relative)
     assert triangles[:, :, 2].min() == 0.0
-
-
-def test_nonsense_solids_are_named() -> None:
-    with pytest.raises(ConfigurationError, match="lacks a side"):
-        solid_triangles(BlockFile(kind="block", name="b", length_mm=10, width_mm=10))
-    with pytest.raises(ConfigurationError, match="touch each other"):
-        solid_triangles(SpherePlateFile(**TWO, pitch_mm=20, centre_height_mm=15))
-    with pytest.raises(ConfigurationError, match="no room for a plate"):
-        solid_triangles(SpherePlateFile(**TWO, pitch_mm=30, centre_height_mm=5))
-
-
-def test_the_stl_holds_the_triangles() -> None:
-    triangles = solid_triangles(PYRAMID)
     data = stl_of(triangles, "p")
     assert int.from_bytes(data[80:84], "little") == len(triangles)
     assert len(data) == 84 + 50 * len(triangles)
     first = np.frombuffer(data[84 + 12 : 84 + 48], "<f4").reshape(3, 3)
     np.testing.assert_allclose(first, triangles[0], atol=1e-5)
+
+
+def board(**changed: object) -> BoardFile:
+    return CHARUCO.model_copy(update=changed)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: lay_out(board(pitch_mm=30.0), "0", "a4"), "needs a page of .* a4 is 210"),
+        (lambda: lay_out(CHARUCO, "0", "b4"), "there is no page size `b4`"),
+        (lambda: board_shapes(board(dictionary="DICT_9X9")), "no dictionary DICT_9X9"),
+        (
+            lambda: board_shapes(board(dictionary="DICT_4X4_50", columns=20, rows=20)),
+            "takes 200 markers, DICT_4X4_50 has 50",
+        ),
+        (lambda: solid_triangles(BLOCK.model_copy(update={"height_mm": None})), "lacks a side"),
+        (
+            lambda: solid_triangles(SpherePlateFile(**TWO, pitch_mm=20, centre_height_mm=15)),
+            "touch each other",
+        ),
+        (
+            lambda: solid_triangles(SpherePlateFile(**TWO, pitch_mm=30, centre_height_mm=5)),
+            "no room for a plate",
+        ),
+    ],
+)
+def test_what_cannot_be_made_is_named(make: Callable[[], object], says: str) -> None:
+    with pytest.raises(ConfigurationError, match=says):
+        make()
 
 
 def test_the_verb_makes_shipped_and_own_targets(tmp_path: Path) -> None:

@@ -6,16 +6,15 @@ import re
 from pathlib import Path
 from typing import Any, get_args
 
-import pytest
 from pydantic import BaseModel
 
 from roemetry.config.recipe import Recipe
-from roemetry.config.recipe_file import RecipeFile, StageChoice
+from roemetry.config.recipe_file import StageChoice
 from roemetry.config.rig import Rig, RigFile
 from roemetry.config.target_file import BlockFile, BoardFile, StaircaseFile
 from roemetry.io.yaml_source import parse
 from roemetry.records.calibration import Calibration
-from tests.docs.reference_pages import PAGES, ROOT, blocks, coded, firsts, page, section, table, text_of
+from tests.docs.reading import REFERENCE, ROOT, blocks, coded, firsts, page, section, table, text_of
 
 
 def keys_of(model: type[BaseModel], before: str = "") -> dict[str, Any]:
@@ -29,17 +28,6 @@ def keys_of(model: type[BaseModel], before: str = "") -> dict[str, Any]:
     return found
 
 
-def test_the_keys_of_a_recipe_are_those_of_its_model() -> None:
-    part = section(page("recipe.md"), "## Keys")
-    choice = section(part, "### Choosing a stage")
-    rows = {coded(row[0])[0]: row for row in table(part.replace(choice, ""))}
-    fields = keys_of(RecipeFile)
-    assert set(rows) == set(fields)
-    assert set(firsts(choice)) == set(StageChoice.model_fields)
-    for key in [key for key in fields if not key.startswith("stages.")]:
-        check_default(key, fields[key], rows[key][1])
-
-
 def test_the_keys_of_a_rig_and_a_target_are_those_of_their_models() -> None:
     rows = {coded(row[0])[0]: row for row in table(page("rig.md")) if re.fullmatch("`[a-z_.]+`", row[0])}
     # a further board's keys are those of the first
@@ -48,77 +36,42 @@ def test_the_keys_of_a_rig_and_a_target_are_those_of_their_models() -> None:
         assert {f"{before}.{name}" for name in model.model_fields} <= set(fields)
     assert set(rows) == set(fields)
     for key, field in fields.items():
-        check_default(key, field, rows[key][1])
+        default = field.get_default(call_default_factory=True)
+        default = default.use if isinstance(default, StageChoice) else default
+        assert rows[key][1] == ("required" if field.is_required() else text_of(default)), key
 
 
-def check_default(key: str, field: Any, cell: str) -> None:
-    if field.is_required():
-        assert cell == "required", key
-        return
-    default = field.get_default(call_default_factory=True)
-    if isinstance(default, list):
-        default = "[" + ", ".join(choice.use for choice in default) + "]"
-    elif isinstance(default, StageChoice):
-        default = default.use
-    assert cell == text_of(default), key
+def complete(first: str) -> list[str]:
+    paths = [*REFERENCE.rglob("*.md"), *(ROOT / "docs" / "how-to").glob("*.md")]
+    texts = [text for path in paths for _, text in blocks(path.read_text("utf-8"), "yaml")]
+    found = [text for text in texts if text.startswith(first)]
+    assert found
+    return found
 
 
-def test_choices_of_a_source_are_told() -> None:
-    for model, text, before in ((RecipeFile, page("recipe.md"), "source."), (RigFile, page("rig.md"), "")):
-        fields = keys_of(model)
-        rows = {coded(row[0])[0]: row[-1] for row in table(text)}
-        for key in ("channel", "turn_deg"):
-            for legal in get_args(fields[before + key].annotation):
-                assert str(legal) in rows[before + key], (key, legal)
+def test_every_complete_recipe_in_the_pages_loads(tmp_path: Path, rig: Any) -> None:
+    for content in complete("roemetry: 1\n"):
+        data = parse(content, "the page").data
+        if "calibration" in data:
+            rig.calibration().save(tmp_path / data["calibration"])
+        path = tmp_path / "recipe.yaml"
+        path.write_text(content, "utf-8")
+        assert set(Recipe.load(path).stages) - {"aligner"} == set(data["stages"]) - {"aligner"}, content
 
 
-def complete(first: str) -> list[Any]:
-    return [
-        pytest.param(content, id=f"{path.stem}-{index}")
-        for path in PAGES
-        for index, (_, content) in enumerate(blocks(path.read_text("utf-8"), "yaml"))
-        if content.startswith(f"{first}: 1\n")
-    ]
-
-
-@pytest.mark.parametrize("content", complete("roemetry"))
-def test_every_complete_recipe_in_the_pages_loads(content: str, tmp_path: Path, rig: Any) -> None:
-    data = parse(content, "the page").data
-    if "calibration" in data:
-        rig.calibration().save(tmp_path / data["calibration"])
-    path = tmp_path / "recipe.yaml"
-    path.write_text(content, "utf-8")
-    recipe = Recipe.load(path)
-    assert set(recipe.stages) - {"aligner"} == set(data["stages"]) - {"aligner"}
-
-
-@pytest.mark.parametrize("content", complete("roemetry_rig"))
-def test_every_complete_rig_in_the_pages_loads(content: str, tmp_path: Path) -> None:
-    targets = [
-        text
-        for path in PAGES
-        for _, text in blocks(path.read_text("utf-8"), "yaml")
-        if text.startswith("kind: block")
-    ]
-    data = parse(content, "the page").data
-    for paths in data["images"].values():
-        for name in paths:
+def test_every_complete_rig_in_the_pages_loads(tmp_path: Path) -> None:
+    for content in complete("roemetry_rig: 1\n"):
+        data = parse(content, "the page").data
+        for name in (name for names in data["images"].values() for name in names):
             (tmp_path / name).parent.mkdir(exist_ok=True)
             (tmp_path / name.replace("*", "1")).touch()
-    for target in targets if "target" in data else [""]:
-        if target:
-            (tmp_path / data["target"]).write_text(target, "utf-8")
         (tmp_path / "rig.yaml").write_text(content, "utf-8")
-        rig = Rig.load(tmp_path / "rig.yaml")
-        assert (rig.block is not None) == bool(target)
-        assert sum(map(len, rig.images.values())) >= 2
-
-
-def test_there_are_complete_examples() -> None:
-    found = [content for _, content in blocks(page("recipe.md"), "yaml")]
-    stages = [set(parse(c, "").data["stages"]) for c in found if c.startswith("roemetry: 1")]
-    assert {"extractor", "coder", "triangulator", "volume", "weigher", "classifier"} in stages
-    assert any(content.startswith("roemetry_rig: 1") for _, content in blocks(page("rig.md"), "yaml"))
+        for target in complete("kind: block") if "target" in data else [""]:
+            if target:
+                (tmp_path / data["target"]).write_text(target, "utf-8")
+            rig = Rig.load(tmp_path / "rig.yaml")
+            assert (rig.block is not None) == bool(target)
+            assert sum(map(len, rig.images.values())) >= 2
 
 
 def test_the_keys_of_a_calibration_are_those_that_are_written(rig: Any) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from roemetry.stages import StageOptions
 from roemetry.stages.registry import discover
-from tests.docs.reference_pages import ROOT, blocks
+from tests.docs.reading import ROOT, blocks
 
 
 def test_the_plugin_of_the_page_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-HOW_TO = ROOT / "docs" / "how-to"
-PAGES = [ROOT / "README.md", HOW_TO / "use-from-python.md"]
+from tests.docs.reading import ROOT, blocks
 
 
-def programs() -> list[object]:
-    found = []
-    for page in PAGES:
-        blocks = re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
-        found += [pytest.param(block, id=f"{page.stem}-{number}") for number, block in enumerate(blocks, 1)]
-    return found
+def programs(page: str) -> list[str]:
+    return [program for _, program in blocks((ROOT / page).read_text("utf-8"), "python")]
+
+
+PAGES = ("README.md", "docs/how-to/use-from-python.md")
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +30,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("program", programs())
+@pytest.mark.parametrize("program", [one for page in PAGES for one in programs(page)])
 def test_a_program_of_the_pages_runs(
     program: str, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -50,8 +46,7 @@ def test_the_cells_of_the_notebook_page_run_one_after_the_other(
     for library in ("matplotlib", "pandas", "xarray"):
         pytest.importorskip(library)
     monkeypatch.chdir(place)
-    page = (HOW_TO / "use-in-a-notebook.md").read_text("utf-8")
-    cells = re.findall(r"^```python\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
+    cells = programs("docs/how-to/use-in-a-notebook.md")
     known: dict[str, object] = {"__name__": "page"}
     for cell in cells:
         exec(compile(cell, "a cell", "exec"), known)

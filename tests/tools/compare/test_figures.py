@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -29,7 +28,7 @@ def variants_of(path: Path, *vary: str, sets=()):
 
 
 def test_figures_are_those_the_truth_was_made_for(dataset, compared) -> None:
-    (one,) = compared(dataset())
+    one, other = compared(dataset(), "extractor=shifted")
     row = flat(one)
     assert row["volume_visible_bias_pct"] == pytest.approx(-100 / 11, abs=1e-9)
     assert row["volume_visible_mean_absolute_pct"] == pytest.approx(100 / 11, abs=1e-9)
@@ -42,6 +41,8 @@ def test_figures_are_those_the_truth_was_made_for(dataset, compared) -> None:
     assert row["centre_false_pct"] == 0.0
     assert abs(row["centre_bias_px"]) < 0.05
     assert row["time_frame_median_ms"] is not None
+    for figure in ("centre_bias_px", "centre_on_product_bias_px"):
+        assert flat(other)[figure] - row[figure] == pytest.approx(0.3, abs=0.01)
 
 
 @pytest.mark.parametrize("turn_deg", [180, 90])
@@ -50,12 +51,6 @@ def test_turned_images_are_judged_alike(dataset, compared, turn_deg: int) -> Non
     assert row["coding_right_pct"] == pytest.approx(100.0)
     assert abs(row["centre_bias_px"]) < 0.05
     assert row["volume_visible_bias_pct"] == pytest.approx(-100 / 11, abs=1e-9)
-
-
-def test_a_shifted_extractor_shows_its_shift(dataset, compared) -> None:
-    base, shifted = (flat(one) for one in compared(dataset(), "extractor=shifted"))
-    for figure in ("centre_bias_px", "centre_on_product_bias_px"):
-        assert shifted[figure] - base[figure] == pytest.approx(0.3, abs=0.01)
 
 
 def test_shared_steps_are_done_once_and_other_options_are_not_shared(dataset, compared) -> None:
@@ -130,37 +125,25 @@ def test_what_the_set_knows_of_an_image_counts() -> None:
     assert np.isnan(known.encoder_count)
 
 
-def test_labels_count_instead_of_those_of_the_set(dataset, tmp_path: Path, roemetry) -> None:
-    table = tmp_path / "labels.csv"
+def test_labels_count_instead_of_those_of_the_set_or_without_one(dataset, tmp_path: Path) -> None:
+    path, table = dataset(2), tmp_path / "labels.csv"
+    (variant,) = variants_of(path)
     table.write_text("id,label\np01,good\np02#1,dull\n", encoding="utf-8")
-    assert roemetry(dataset(), "--labels", table, "--out", tmp_path / "out") == 0
-    told = json.loads((tmp_path / "out" / "comparison.json").read_text("utf-8"))
-    assert told["data"]["labels"] == 2
-    classes = told["variants"][0]["figures"]["classes"]
-    assert (classes["n"], classes["true"]) == (2, ["dull", "good"])
-
-
-def test_labels_make_classes_known_without_a_data_set(line) -> None:
-    variants = variants_of(line(2))
-    (found,) = compare(variants, Data(variants[0].recipe, labels={"p01#1": "good"}))
+    (found,) = compare((variant,), Data(variant.recipe, labels=read_labels(table)))
+    assert (found.figures.classes.n, found.figures.classes.true) == (2, ("dull", "good"))
+    (path.parent / "dataset.yaml").unlink()
+    (found,) = compare((variant,), Data(variant.recipe, labels={"p01#1": "good"}))
     assert found.figures.classes.n == 1
     for name in ("p77#1", "p01#", "p01#x", "p01#0", "p01#1#1"):
         with pytest.raises(DataError, match=f"labels of what is not there: {name}"):
-            Data(variants[0].recipe, labels={name: "good"})
-
-
-def test_labels_without_a_data_set_keep_the_products_numbers() -> None:
+            Data(variant.recipe, labels={name: "good"})
     many = labelled(None, "a", {f"a#{number}": f"class {number}" for number in range(1, 12)})
     assert [one.label for one in many.products] == [f"class {number}" for number in range(1, 12)]
     second = labelled(None, "a", {"a#2": "dull", "aa#1": "good"})
     assert [one.label for one in second.products] == ["", "dull"]
-    assert labelled(None, "a", {"b#1": "good"}) is None
-
-
-def test_a_product_that_is_labelled_twice_is_told(tmp_path: Path) -> None:
-    (tmp_path / "labels.csv").write_text("id,label\np01,good\np01,dull\n", encoding="utf-8")
+    table.write_text("id,label\np01,good\np01,dull\n", encoding="utf-8")
     with pytest.raises(DataError, match=r"labels.csv:3: p01 stands there a second time"):
-        read_labels(tmp_path / "labels.csv")
+        read_labels(table)
 
 
 def test_every_variant_stands_once_and_the_recipe_first(line) -> None:

@@ -47,7 +47,12 @@ def test_verdicts_intervals_and_classes_reach_every_file(dataset, tmp_path, caps
 
 def test_a_comparison_in_a_bucket_is_stopped_and_gone_on_with(dataset, capsys, monkeypatch, roemetry) -> None:
     place, bucket = "memory://plant/study", fsspec.filesystem("memory")
-    words = [dataset(4), "--vary", "stages.weigher.options.density_g_per_cm3=1.54", "--out", place]
+    path = dataset(3)
+    bucket.put(f"{path.parent}/", "/plant/set/", recursive=True)
+    words = [path, "--vary", "stages.weigher.options.density_g_per_cm3=1.54"]
+    assert roemetry(*words, "--data", path.parent, "--out", path.parent / "here") == 0
+    here = (path.parent / "here" / "items.jsonl").read_bytes()
+    words += ["--data", "memory://plant/set", "--out", place]
 
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -63,6 +68,7 @@ def test_a_comparison_in_a_bucket_is_stopped_and_gone_on_with(dataset, capsys, m
     assert f"{place}/comparison.html" in capsys.readouterr().out
     names = ["comparison.csv", "comparison.html", "comparison.json", "items.jsonl"]
     assert sorted(bucket.find("/plant/study")) == [f"/plant/study/{name}" for name in names]
+    assert bucket.cat("/plant/study/items.jsonl") == here
     bucket.rm("/plant", recursive=True)
 
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from roemetry.records import AMBIGUOUS, UNLABELLED, Frame, Peaks, Reason, StripeMap, StripeTruth
-from roemetry_tools.compare.aggregate import NOT_GRADED, classes_of, errors_of
+from roemetry_tools.compare.aggregate import NOT_GRADED, classes_of
 from roemetry_tools.compare.stripes import (
-    CentreScore,
     by_place,
     nearest,
     score_centres,
@@ -166,18 +164,6 @@ def test_truth_of_another_turn_or_size_is_refused(lines: np.ndarray) -> None:
     assert isinstance(told[0], Reason) and "turned by 90°" in told[0].text
 
 
-def test_errors_of_a_scaled_estimate() -> None:
-    true = np.array([100.0, 200.0, 400.0])
-    sums = errors_of(true / 1.1, true)
-    assert sums.bias_pct == sums.median_pct == pytest.approx(-100 / 11)
-    assert sums.mean_absolute_pct == pytest.approx(100 / 11)
-    assert sums.spread_pct == pytest.approx(0.0, abs=1e-9)
-    assert sums.rmse == pytest.approx(math.sqrt(((true / 11) ** 2).mean()))
-    assert errors_of(true[:0], true[:0]) is None
-    one = errors_of(true[:1], true[:1])
-    assert math.isnan(one.spread_pct)
-
-
 def test_classes_are_counted_and_none_is_not_right() -> None:
     classes = classes_of({
         ("good", "good"): 8, ("good", "henkei"): 2, ("henkei", "henkei"): 1,
@@ -190,14 +176,3 @@ def test_classes_are_counted_and_none_is_not_right() -> None:
     assert classes.balanced_accuracy == pytest.approx((0.8 + 0.25) / 2)
     only = classes_of({("good", "good"): 3})
     assert math.isnan(only.balanced_accuracy)
-
-
-def test_a_score_is_the_same_after_its_journey_between_processes(rng: np.random.Generator) -> None:
-    counts = rng.poisson(0.1, 3000)
-    sent = CentreScore(9, 8, 7, 0.5, 0.25, counts)
-    came = pickle.loads(pickle.dumps(sent))
-    assert [getattr(came, name) for name in ("true", "matched", "peaks", "sum_px", "sum_px2")] == [
-        9, 8, 7, 0.5, 0.25,
-    ]  # fmt: skip
-    np.testing.assert_array_equal(came.counts, counts)
-    assert (came + came).quantile_px(0.3) == sent.quantile_px(0.3)

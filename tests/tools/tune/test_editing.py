@@ -179,12 +179,8 @@ VALUES = st.recursive(
 @given(VALUES)
 def test_a_value_on_one_line_is_read_as_what_it_was(value: Any) -> None:
     assert parse(f"a: {inline(value)}\n", "r").data == {"a": value}
-
-
-@settings(deadline=None, max_examples=60)
-@given(SCALARS)
-def test_a_field_reads_what_a_recipe_has(value: Any) -> None:
-    assert value_of(inline(value)) == value
+    if not isinstance(value, list | dict):
+        assert value_of(inline(value)) == value, "a field reads what a recipe has"
 
 
 @settings(deadline=None, max_examples=60)

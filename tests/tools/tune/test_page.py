@@ -55,60 +55,55 @@ def bench(browser: Any, recipe: Path) -> Iterator[Bench]:
         yield Bench(page)
 
 
-def test_a_moved_slider_changes_picture_numbers_and_profiles(bench: Bench) -> None:
+def test_what_is_moved_exchanged_or_wrong_is_to_be_seen_and_can_be_taken_back(bench: Bench) -> None:
     page = bench.page
     before, volume = bench.picture(), bench.number("visible volume")
     profiles = page.locator("#profiles").screenshot()
-    slider = page.locator("[data-kind=extractor] input[type=range]").first
-    slider.focus()
+    threshold, fault = page.locator("#extractor-threshold"), page.locator("#extractor-threshold-fault")
+    page.locator("[data-kind=extractor] input[type=range]").first.focus()
     bench.after(lambda: page.keyboard.press("End"))
-    assert page.locator("#extractor-threshold").input_value() == "255"
+    assert threshold.input_value() == "255"
     assert bench.picture().tobytes() != before.tobytes()
     assert page.locator("#profiles").screenshot() != profiles
     assert page.locator("text=no peaks at all").count() == 1
     bench.after(lambda: page.get_by_label("threshold: as the recipe has it").click())
-    assert page.locator("#extractor-threshold").input_value() == "60"
+    assert threshold.input_value() == "60"
     assert bench.number("visible volume") == volume
     assert page.locator("#save").is_disabled()
-
-
-def test_another_plugin_brings_its_own_fields_and_what_was_set_comes_back(bench: Bench) -> None:
-    page = bench.page
-    bench.after(lambda: page.locator("#extractor-threshold").fill("70"))
+    bench.after(lambda: threshold.fill("abc"))
+    assert "number" in fault.inner_text()
+    assert threshold.get_attribute("aria-invalid") == "true"
+    assert page.locator("#stale").is_visible()
+    assert page.locator("#save").is_disabled()
+    assert bench.number("visible volume") == volume
+    bench.after(lambda: threshold.fill("70"))
+    assert fault.is_hidden()
+    assert page.locator("#stale").is_hidden()
     plugin = page.get_by_label("extractor: plugin")
     bench.after(lambda: plugin.select_option("log-parabola"))
     assert page.locator("#extractor-points").input_value() == "five"
     assert page.get_by_role("button", name="auto").first.get_attribute("aria-pressed") == "true"
     bench.after(lambda: plugin.select_option("dominant-peak"))
-    assert page.locator("#extractor-threshold").input_value() == "70"
+    assert threshold.input_value() == "70", "what was set comes back"
     assert bench.number("visible volume", 2) != ""
-
-
-def test_a_wrong_value_is_told_at_its_field_and_nothing_else_is_lost(bench: Bench) -> None:
-    page = bench.page
-    volume = bench.number("visible volume")
-    bench.after(lambda: page.locator("#extractor-threshold").fill("abc"))
-    fault = page.locator("#extractor-threshold-fault")
-    assert "number" in fault.inner_text()
-    assert page.locator("#extractor-threshold").get_attribute("aria-invalid") == "true"
-    assert page.locator("#stale").is_visible()
-    assert page.locator("#save").is_disabled()
-    assert bench.number("visible volume") == volume
-    bench.after(lambda: page.locator("#extractor-threshold").fill("60"))
-    assert fault.is_hidden()
-    assert page.locator("#stale").is_hidden()
-
-
-def test_a_stage_that_is_left_out_is_missed_by_those_that_need_it(bench: Bench) -> None:
-    page = bench.page
     bench.after(lambda: page.get_by_label("triangulator: plugin").select_option(""))
     said = page.locator("[data-kind=volume] > .fault").inner_text()
     assert said == "it works on the result of the triangulator; add one"
 
 
-def test_problem_places_are_marked_where_they_are(bench: Bench, recipe: Path) -> None:
+def test_keys_choose_row_and_frame_and_problem_places_are_marked(bench: Bench, recipe: Path) -> None:
     """Peaks at the white level are magenta at their own place; unticked, they are not."""
     page = bench.page
+    page.locator("#picture").focus()
+    assert "row 120" in page.locator("#row-title").inner_text()
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("Shift+ArrowDown")
+    assert "row 131" in page.locator("#row-title").inner_text()
+    before = bench.picture()
+    for key in ("+", "0"):
+        page.keyboard.press(key)
+        page.wait_for_timeout(150)
+        assert (bench.picture().tobytes() == before.tobytes()) == (key == "0")
     file = recipe.parent / "images" / "p02.png"
     image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
     image[20:30, 79:82] = 255  # saturated light on the second stripe, which rests at x 80
@@ -137,22 +132,6 @@ def test_problem_places_are_marked_where_they_are(bench: Bench, recipe: Path) ->
     assert len(magenta()) > len(marked), "shown large"
 
 
-def test_keys_choose_a_row_and_zoom(bench: Bench) -> None:
-    page = bench.page
-    page.locator("#picture").focus()
-    assert "row 120" in page.locator("#row-title").inner_text()
-    page.keyboard.press("ArrowDown")
-    page.keyboard.press("Shift+ArrowDown")
-    assert "row 131" in page.locator("#row-title").inner_text()
-    before = bench.picture()
-    page.keyboard.press("+")
-    page.wait_for_timeout(150)
-    assert bench.picture().tobytes() != before.tobytes()
-    page.keyboard.press("0")
-    page.wait_for_timeout(150)
-    assert bench.picture().tobytes() == before.tobytes()
-
-
 def test_saving_shows_the_changes_and_writes_them(bench: Bench, recipe: Path) -> None:
     page = bench.page
     before = recipe.read_text("utf-8")
@@ -166,11 +145,7 @@ def test_saving_shows_the_changes_and_writes_them(bench: Bench, recipe: Path) ->
     assert "recipe.yaml.old-1" in page.locator("#file").inner_text()
     assert (recipe.parent / "recipe.yaml.old-1").read_text("utf-8") == before
     assert page.locator("#save").is_disabled()
-
-
-def test_what_cannot_be_saved_is_told_in_the_dialog(bench: Bench, recipe: Path) -> None:
-    page = bench.page
-    bench.after(lambda: page.locator("#extractor-threshold").fill("75"))
+    bench.after(lambda: page.locator("#extractor-threshold").fill("80"))
     recipe.write_text(recipe.read_text("utf-8") + "# mine\n", "utf-8")
     page.locator("#save").click()
     page.locator("#save-now").click()
@@ -179,5 +154,5 @@ def test_what_cannot_be_saved_is_told_in_the_dialog(bench: Bench, recipe: Path) 
     page.locator("#save-name").fill("another.yaml")
     bench.after(lambda: page.locator("#save-now").click())
     saved = read(recipe.parent / "another.yaml").data
-    assert saved["stages"]["extractor"]["options"]["threshold"] == 75
+    assert saved["stages"]["extractor"]["options"]["threshold"] == 80
     page.faults.clear()  # the browser itself notes that a request was refused

@@ -6,7 +6,6 @@ import json
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import urllib.request
@@ -15,9 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from roemetry.cli.main import app
 from roemetry.errors import ConfigurationError
 from roemetry_tools.tune import server
 from roemetry_tools.tune.session import Session, unpacked
@@ -45,6 +42,14 @@ def test_the_page_and_all_it_names_are_served_from_here(client: Any) -> None:
         assert not re.search(r"https?://|//cdn|@import", text), file.name
         for name in re.findall(r'from "\./([^"]+)"', text):
             assert (folder / name).is_file()
+    for other in ("/page/../session.py", "/page/%2e%2e/session.py", "/page/%2e%2e%2fsession.py"):
+        assert client.get(other).status_code == 404
+    told = client.get("/recipe").json()
+    assert told["product"] == "test dome"
+    assert [stage["kind"] for stage in told["stages"]][:3] == ["extractor", "aligner", "coder"]
+    extractor = told["stages"][0]
+    assert extractor["chosen"] == {"use": "dominant-peak", "options": {"threshold": "60"}}
+    assert {"dominant-peak", "steger"} <= {choice["use"] for choice in extractor["choices"]}
 
 
 def test_a_wish_is_answered_and_its_picture_is_there(client: Any) -> None:
@@ -55,15 +60,6 @@ def test_a_wish_is_answered_and_its_picture_is_there(client: Any) -> None:
     picture = client.get(f"/picture/{header['image']['key']}.png")
     assert picture.content.startswith(b"\x89PNG")
     assert client.get("/picture/0.png").status_code == 404
-
-
-def test_the_recipe_is_described(client: Any) -> None:
-    told = client.get("/recipe").json()
-    assert told["product"] == "test dome"
-    assert [stage["kind"] for stage in told["stages"]][:3] == ["extractor", "aligner", "coder"]
-    extractor = told["stages"][0]
-    assert extractor["chosen"] == {"use": "dominant-peak", "options": {"threshold": "60"}}
-    assert {"dominant-peak", "steger"} <= {choice["use"] for choice in extractor["choices"]}
 
 
 def test_saving_answers_with_the_new_recipe_or_the_reason(client: Any) -> None:
@@ -110,29 +106,9 @@ def test_a_value_nested_too_deeply_is_a_fault_of_its_field(client: Any) -> None:
     assert client.post("/save", json={"wish": wish}).status_code == 400
 
 
-@pytest.mark.parametrize(
-    "path", ["/page/../session.py", "/page/%2e%2e/session.py", "/page/%2e%2e%2fsession.py"]
-)
-def test_no_other_file_is_served(path: str, client: Any) -> None:
-    assert client.get(path).status_code == 404
-
-
-def test_a_port_in_use_is_told(line: Callable[..., Path]) -> None:
-    with socket.socket() as taken:
-        taken.bind((server.LOOPBACK, 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        with pytest.raises(ConfigurationError, match=f"--port {port}: cannot be used"):
-            server.serve(Session(line()), port, print)
-
-
-def test_a_recipe_that_is_not_there_is_told_without_a_traceback(tmp_path: Path) -> None:
-    outcome = CliRunner().invoke(app, ["tune", str(tmp_path / "none.yaml")])
-    assert isinstance(outcome.exception, ConfigurationError)
-
-
 def test_the_verb_serves_this_machine_alone_and_stops_in_peace(line: Callable[..., Path]) -> None:
-    command = [sys.executable, "-m", "roemetry", "tune", str(line())]
+    recipe = line()
+    command = [sys.executable, "-m", "roemetry", "tune", str(recipe)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None and process.stderr is not None
@@ -141,6 +117,9 @@ def test_the_verb_serves_this_machine_alone_and_stops_in_peace(line: Callable[..
             assert address, said
             with urllib.request.urlopen(address[0] + "recipe", timeout=30) as answer:
                 assert json.load(answer)["product"] == "test dome"
+            port = int(address[0].split(":")[2].split("/")[0])
+            with pytest.raises(ConfigurationError, match=f"--port {port}: cannot be used"):
+                server.serve(Session(recipe), port, print)
             process.send_signal(signal.SIGINT)
             assert process.wait(30) == 0
             assert process.stderr.read() == ""

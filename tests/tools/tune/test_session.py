@@ -12,7 +12,7 @@ import pytest
 from pydantic import BaseModel, Field
 
 from roemetry.config.recipe import Recipe
-from roemetry.errors import ConfigurationError, DataError, OutputError
+from roemetry.errors import ConfigurationError, OutputError
 from roemetry.records import AMBIGUOUS, SATURATED
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.rows import measurements_of
@@ -146,13 +146,9 @@ def test_what_is_wrong_is_told_at_its_field(session: Session, kind, stage, path:
         session.save(wish(session, **{kind: stage}))
 
 
-def test_several_faults_are_told_at_once(session: Session) -> None:
-    bad = peaks("[1", start="sideways")
-    header, _ = ask(session, wish(session, extractor=bad))
+def test_several_faults_are_told_at_once_and_a_source_without_images_at_its_path(session: Session) -> None:
+    header, _ = ask(session, wish(session, extractor=peaks("[1", start="sideways")))
     assert {fault["path"][-1] for fault in header["faults"]} == {"threshold", "start"}
-
-
-def test_a_source_without_images_is_told_at_its_path(session: Session) -> None:
     header, _ = ask(session, TuneRequest(source={"path": "nowhere"}))
     assert header["faults"][0]["path"] == ["source", "path"]
     assert "there is no image here" in header["faults"][0]["said"]
@@ -219,24 +215,19 @@ def test_saving_changes_the_value_keeps_comments_and_the_old_file(line) -> None:
     assert path.read_text("utf-8") == before
     third = Session(path)
     assert third.save(wish(third, extractor=changed))["old"] == "recipe.yaml.old-2"
-
-
-def test_saving_under_another_name_leaves_the_recipe_alone(line) -> None:
-    path = line()
-    before = path.read_text("utf-8")
-    session = Session(path)
-    saved = session.save(wish(session, extractor=PLAIN), "softer")
+    now = path.read_text("utf-8")
+    saved = third.save(wish(third, extractor=PLAIN), "softer")
     assert (Path(saved["path"]).name, saved["old"]) == ("softer.yaml", "")
-    assert path.read_text("utf-8") == before
-    assert session.recipe()["name"] == "softer.yaml"
+    assert path.read_text("utf-8") == now
+    assert third.recipe()["name"] == "softer.yaml"
     with pytest.raises(ConfigurationError, match="there already"):
-        session.save(wish(session), "recipe.yaml")
-
-
-@pytest.mark.parametrize("name", ["../elsewhere.yaml", "/tmp/x.yaml", ".hidden", ".."])
-def test_a_name_that_leads_elsewhere_is_refused(name: str, session: Session) -> None:
-    with pytest.raises(ConfigurationError, match="not a file name"):
-        session.save(wish(session), name)
+        third.save(wish(third), "recipe.yaml")
+    link = path.with_name("link.yaml")
+    link.symlink_to(path)
+    by_link = Session(link)
+    by_link.save(wish(by_link, extractor=PLAIN))
+    assert link.is_symlink()
+    assert "threshold" not in path.read_text("utf-8")
 
 
 def test_a_file_changed_by_someone_else_is_not_overwritten(line) -> None:
@@ -265,31 +256,6 @@ def test_a_full_disk_leaves_the_recipe_as_it_was(line, monkeypatch: pytest.Monke
     assert [file.name for file in path.parent.iterdir() if ".old" in file.name] == []
     session.save(asked)
     assert path.read_bytes() != before
-
-
-def test_a_link_stays_a_link(line, tmp_path: Path) -> None:
-    path = line()
-    link = tmp_path / "link.yaml"
-    link.symlink_to(path)
-    session = Session(link)
-    session.save(wish(session, extractor=PLAIN))
-    assert link.is_symlink()
-    assert "threshold" not in path.read_text("utf-8")
-
-
-def test_an_unsound_recipe_and_one_without_frames_are_refused_at_once(line) -> None:
-    path = line()
-    sound = path.read_text("utf-8")
-    path.write_text(sound.replace("dominant-peak", "dominant-pek"), "utf-8")
-    with pytest.raises(ConfigurationError, match="did you mean"):
-        Session(path)
-    with pytest.raises(ConfigurationError, match="cannot be read"):
-        Session(path.parent / "none.yaml")
-    path.write_text(sound, "utf-8")
-    for file in (path.parent / "images").iterdir():
-        file.unlink()
-    with pytest.raises(DataError, match="there is no image here"):
-        Session(path)
 
 
 def test_what_is_packed_comes_out_again(rng: np.random.Generator) -> None:
@@ -358,10 +324,6 @@ def test_a_stages_fault_is_told_on_its_card(session: Session, monkeypatch: pytes
     assert "peaks.x_px" in arrays and "stripes.x_px" not in arrays
 
 
-REGISTRY = discover()
-STAGES = [stage for stage in REGISTRY.stages if stage.entry.kind in KINDS]
-
-
 class Options(BaseModel):
     number_px: float = Field(default=2.0, gt=0.0, le=9.0, description="a number")
     count: int = Field(default=3, ge=1, description="a count")
@@ -397,12 +359,12 @@ def test_each_kind_of_option_becomes_its_kind_of_field() -> None:
     assert "text" not in {field["name"] for field in fields_of(Options, ("text",))}
 
 
-@pytest.mark.parametrize("stage", STAGES, ids=lambda stage: f"{stage.entry.kind}-{stage.entry.name}")
-def test_every_option_of_every_stage_has_a_field_that_explains_itself(stage: object) -> None:
-    options = REGISTRY.load(stage).Options  # type: ignore[arg-type]
-    fields = fields_of(options)
-    assert [field["name"] for field in fields] == list(options.model_fields)
-    for field in fields:
-        assert len(field["description"]) > 10
-        if field["low"] is not None and field["high"] is not None:
-            assert field["low"] < field["high"]
+def test_every_option_of_every_stage_has_a_field_that_explains_itself() -> None:
+    registry = discover()
+    for stage in (stage for stage in registry.stages if stage.entry.kind in KINDS):
+        options = registry.load(stage).Options
+        fields = fields_of(options)
+        assert [field["name"] for field in fields] == list(options.model_fields), stage
+        for field in fields:
+            assert len(field["description"]) > 10, stage
+            assert None in (field["low"], field["high"]) or field["low"] < field["high"], stage
