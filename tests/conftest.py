@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import os
+
+# Several processes share the cores: threads of the linear algebra in each would only wait for one another.
+# It is read when numpy is imported. Processes that are started from here take it over.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,9 +34,6 @@ settings.register_profile(
 settings.register_profile("explore", max_examples=500)
 settings.load_profile("steady")
 ROOT = Path(__file__).resolve().parent.parent
-# Several processes share the cores: threads of the linear algebra in each would only wait for one another.
-# Those that are started from here take it over.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @pytest.hookimpl(optionalhook=True)
