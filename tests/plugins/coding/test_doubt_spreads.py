@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roemetry_coding.planes.pieces import ENDS, Pieces, between_bare, presence_of
-from roemetry_coding.planes.vetoes import claimed, going_on, left_over
+from roemetry_coding.planes.vetoes import claimed, going_on
 
 STRIPES = 9
 
@@ -39,22 +39,8 @@ def test_a_piece_claims_the_stripe_it_has_elsewhere() -> None:
     stripe = of((3, 5), (-1, 3), (4, 3), (-1, 2))
     found = claimed(pieces_of(piece, piece, np.full(2, -1)), stripe, STRIPES)
     np.testing.assert_array_equal(found, of((3, 8), (4, 3), (-1, 2)))  # three peaks are too few for a claim
-
-
-def test_an_end_claims_nothing() -> None:
-    piece = of((0, 6), (1, 8))
-    stripe = of((3, 6), (4, 5), (-1, 3))
-    np.testing.assert_array_equal(
-        claimed(pieces_of(piece, piece, np.array([-1, ENDS])), stripe, STRIPES), stripe
-    )
-
-
-@pytest.mark.parametrize("kept, doubted", [(4, True), (5, False)])
-def test_a_piece_of_which_most_is_refused_is_refused(kept: int, doubted: bool) -> None:
-    piece, stripe = of((0, 10), (1, 3)), of((2, 10), (3, 3))
-    left = of((2, kept), (-2, 10 - kept), (3, 3))
-    found = left_over(piece, stripe, left, 0.5)
-    np.testing.assert_array_equal(found, np.concatenate([np.arange(10) < kept, np.zeros(3, bool)]) & doubted)
+    ends = claimed(pieces_of(piece, piece, np.array([ENDS, -1])), stripe, STRIPES)
+    np.testing.assert_array_equal(ends, stripe)
 
 
 @pytest.mark.parametrize("rows, there", [((200, 240), False), ((100, 400), True), ((0, 60), True)])
