@@ -61,44 +61,30 @@ def test_a_plane_that_moved_alone_is_corrected_and_its_covariance_grows(stages: 
     assert more.max() > 0.0 and more.min() >= 0.0 and np.count_nonzero(more) <= 3
 
 
-def test_a_plane_that_moved_far_refuses_the_frame(rng: np.random.Generator) -> None:
+def test_a_plane_that_moved_far_and_another_rig_refuse_the_frame(rng: np.random.Generator) -> None:
     rig = LinearRig()
     x_px = rig.rest_px() + rng.normal(0.0, 0.1, (rig.stripes, rig.rows))
     x_px[4] -= 2.2
     with pytest.raises(StageError, match=r"moved against the others on the belt: 5 \(-2\.[12]"):
         BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
-
-
-def test_a_rig_of_another_calibration_is_refused(rng: np.random.Generator) -> None:
     other = LinearRig(first_px=52.0, fan=0.06)
     with pytest.raises(StageError, match="calibrat"):
-        BeltLines().align(other.peaks(other.rest_px()).peaks, LinearRig().calibration(), moved_rig)
+        BeltLines().align(other.peaks(other.rest_px()).peaks, rig.calibration(), moved_rig)
 
 
-@pytest.mark.parametrize(
-    ("turn_deg", "scale", "said"),
-    [(0.4, 1.0, "turned by 0.4"), (0.0, 0.995, "shrunk by 0.5"), (0.15, 1.001, "turned by 0.15")],
-)
-def test_a_skeins_volume_stays_when_the_camera_turns_or_zooms(
-    turn_deg: float, scale: float, said: str
-) -> None:
-    recipe = roemetry.Recipe.load(HOME / "with_outline.yaml", sets=["draws=0"])
-    still, moved = (_volume(recipe, *how) for how in ((0.0, 1.0), (turn_deg, scale)))
+def test_a_skeins_volume_stays_when_the_camera_turns_or_zooms_a_little() -> None:
+    recipe = roemetry.Recipe.load(HOME / "with_outline.yaml", sets=["uncertainty=none"])
+    still = _volume(recipe, 0.0, 1.0)
     assert [reason.code for reason in still.reasons if reason.code == "moved"] == []
-    texts = [reason.text for reason in moved.reasons if reason.code == "moved"]
-    assert len(texts) == 1 and said in texts[0]
-    before, after = (one.volume.visible_mm3.value for one in (still, moved))
-    assert abs(after / before - 1.0) < 0.004
-
-
-@pytest.mark.parametrize(
-    ("turn_deg", "scale", "said"), [(1.0, 1.0, "turned by 1.0"), (0.0, 0.985, "shrunk by 1.5")]
-)
-def test_a_camera_that_moved_far_is_refused_with_what_moved(turn_deg: float, scale: float, said: str) -> None:
-    recipe = roemetry.Recipe.load(HOME / "with_outline.yaml", sets=["draws=0"])
-    row = _volume(recipe, turn_deg, scale)
-    assert row.status == "failed" and row.volume is None
-    assert any(said in reason.text for reason in row.reasons)
+    for turn_deg, scale, said in ((0.4, 1.0, "turned by 0.4"), (0.0, 0.995, "shrunk by 0.5")):
+        moved = _volume(recipe, turn_deg, scale)
+        texts = [reason.text for reason in moved.reasons if reason.code == "moved"]
+        assert len(texts) == 1 and said in texts[0]
+        assert abs(moved.volume.visible_mm3.value / still.volume.visible_mm3.value - 1.0) < 0.004
+    for turn_deg, scale, said in ((1.0, 1.0, "turned by 1.0"), (0.0, 0.985, "shrunk by 1.5")):
+        row = _volume(recipe, turn_deg, scale)
+        assert row.status == "failed" and row.volume is None
+        assert any(said in reason.text for reason in row.reasons)
 
 
 def _volume(recipe: roemetry.Recipe, turn_deg: float, scale: float):
@@ -108,11 +94,8 @@ def _volume(recipe: roemetry.Recipe, turn_deg: float, scale: float):
         image = cv2.imread(str(next(iter(sorted((HOME / folder).glob("*01*.png"))))), cv2.IMREAD_UNCHANGED)
         rows, columns = image.shape[:2]
         turn = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), -turn_deg, scale)
-        images.append(
-            cv2.warpAffine(
-                image, turn, (columns, rows), flags=cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT
-            )
-        )
+        how = {"flags": cv2.INTER_LANCZOS4, "borderMode": cv2.BORDER_REFLECT}
+        images.append(cv2.warpAffine(image, turn, (columns, rows), **how))
     return recipe.measure(images[0], plain=images[1], name="skein")[0]
 
 
@@ -155,16 +138,13 @@ def test_lines_that_lean_show_rows_that_were_lost_on_a_level_product(
         assert abs(found.row - 199) < 16 and abs(found.jump_px - 0.15) < 0.05
 
 
-def test_a_step_that_the_stripes_cross_one_after_another_is_no_tear(rng: np.random.Generator) -> None:
+def test_a_step_that_stripes_cross_one_after_another_and_whole_pixels_are_no_tear(
+    rng: np.random.Generator,
+) -> None:
     rig = LinearRig()
     height = rig.dome(4.0)
     for stripe in range(1, rig.stripes - 1):
         height[stripe, 70 + stripe : 130] += 5.0
-    x_px = rig.x_px(height) + rng.normal(0.0, 0.05, height.shape)
-    BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
-
-
-def test_peaks_in_whole_pixels_are_no_tear(rng: np.random.Generator) -> None:
-    rig = LinearRig()
-    x_px = np.rint(rig.x_px(rig.dome(3.0)))
-    BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
+    step_px = rig.x_px(height) + rng.normal(0.0, 0.05, height.shape)
+    for x_px in (step_px, np.rint(rig.x_px(rig.dome(3.0)))):
+        BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)

@@ -79,20 +79,14 @@ def _answer(sample, shift: int) -> StripeMap:
     """Give every peak the stripe of its nearest crossing, moved on by `shift` where there is one."""
     peaks, true = sample.peaks, sample.crossings
     stripes, rows = sample.calibration.stripe_count, peaks.image_size[0]
-    verdict = np.full(len(peaks), -1)
-    x_px, product = np.full((stripes, rows), np.nan), np.full((stripes, rows), -1)
-    for k in range(len(peaks)):
-        here = np.flatnonzero(true.row == peaks.row[k])
-        if not here.size:
-            continue
-        near = here[np.abs(true.x_px[here] - peaks.x_px[k]).argmin()]
-        stripe = true.stripe[near] + shift
-        if stripe < stripes and np.isnan(x_px[stripe, peaks.row[k]]):
-            verdict[k] = stripe
-            x_px[stripe, peaks.row[k]] = peaks.x_px[k]
-            product[stripe, peaks.row[k]] = int(true.on_product[near])
-    nothing = np.full(x_px.shape, np.nan)
-    return StripeMap(
-        x_px, nothing, product.astype(np.int16), np.isfinite(x_px), np.ones(x_px.shape),
-        np.zeros(x_px.shape, bool), nothing, verdict.astype(np.int16),
-    )  # fmt: skip
+    near = coded.scoring.nearest(peaks.row, peaks.x_px, true.row, true.x_px)
+    given = (near >= 0) & (true.stripe[near] + shift < stripes)
+    cell = np.where(given, (true.stripe[near] + shift) * rows + peaks.row, -1)
+    _, first = np.unique(cell, return_index=True)  # of two peaks of one stripe and row
+    first = first[given[first]]
+    verdict = np.full(len(peaks), -1, np.int16)
+    verdict[first] = true.stripe[near[first]] + shift
+    x_px, product = np.full((stripes, rows), np.nan), np.full((stripes, rows), -1, np.int16)
+    x_px.flat[cell[first]], product.flat[cell[first]] = peaks.x_px[first], true.on_product[near[first]]
+    nothing, ones = np.full(x_px.shape, np.nan), np.ones(x_px.shape)
+    return StripeMap(x_px, nothing, product, np.isfinite(x_px), ones, ones < 0.0, nothing, verdict)

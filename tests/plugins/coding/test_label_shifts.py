@@ -1,6 +1,8 @@
-"""Runs that are shifted one by one or with others; pieces that agree on one stripe, in order."""
+"""Runs that are shifted alone or together: costs are exact, order is kept; pieces that agree."""
 
 from __future__ import annotations
+
+from itertools import product
 
 import numpy as np
 import pytest
@@ -8,77 +10,116 @@ import pytest
 from roemetry_coding.planes.graph import Candidates
 from roemetry_coding.planes.lines import Entries
 from roemetry_coding.planes.pieces import ENDS, Pieces
-from roemetry_coding.planes.shifts import Runs, shifts_of, single_shifts
-from roemetry_coding.planes.solve import agreed
+from roemetry_coding.planes.shifts import OUT, Runs, _edges, shift_labels, shifts_of, single_shifts
+from roemetry_coding.planes.solve import agreed, favour_labels
 
+RUNS, LINES = 6, 20
 STAYS = 1
+DISORDER = 1e5
 NONE = np.zeros(0, np.int64)
+BESIDE = np.arange(RUNS - 1), np.arange(1, RUNS)
+"""Edges of runs side by side."""
+
+
+def pieces_of(
+    piece: np.ndarray, rest: np.ndarray, home: np.ndarray | None = None, line: np.ndarray | None = None
+) -> Pieces:
+    """Give pieces of one trace."""
+    none = np.full(piece.size, -1)
+    return Pieces(
+        np.zeros(piece.size, np.int64), piece, none if line is None else line, rest,
+        rest if home is None else home, np.zeros(rest.size, np.bool_), np.ones(rest.size),
+    )  # fmt: skip
 
 
 def runs_of(
     own: np.ndarray, one: np.ndarray, other: np.ndarray, both: np.ndarray, disorder: np.ndarray | None = None
 ) -> Runs:
-    """Give runs on ten lines."""
-    runs = own.shape[0]
-    edges = [np.flatnonzero((one == f) | (other == f)) for f in range(runs)]
-    start = np.concatenate([[0], np.cumsum([len(edge) for edge in edges])]).astype(np.int64)
-    order = np.zeros(both.shape, np.int64) if disorder is None else disorder
-    first, last = np.zeros(runs, np.int64), np.full(runs, 9)
-    edge = np.concatenate(edges).astype(np.int64)
-    return Runs(NONE, NONE, own, one, other, both, order, start, edge, first, last)
+    """Give runs that all lie on all lines; out of order are, if not told, those at the cost of disorder."""
+    runs = len(own)
+    if disorder is None:
+        disorder = np.where(both == DISORDER, LINES, 0)
+    first, last = np.zeros(runs, np.int64), np.full(runs, LINES - 1)
+    return Runs(NONE, NONE, own, one, other, both, disorder, *_edges(runs, one, other), first, last)
 
 
-def agree(
-    start: np.ndarray, piece: np.ndarray, rest: np.ndarray, stripes: int, cost: np.ndarray
-) -> np.ndarray:
-    """Let (entry,) pieces agree, of entries that may be the first stripes each; give (entry,) stripes."""
-    size, none = piece.size, np.full(piece.size, -1)
-    entries = Entries(start, np.arange(size), np.arange(float(size)), none, none, np.zeros(size))
-    offset = np.arange(0, (stripes + 1) * size + 1, stripes + 1)
-    nodes = Candidates(
-        np.zeros(size, np.int64), np.full(size, stripes), offset, np.zeros(cost.size), np.ones(cost.size)
-    )
-    pieces = Pieces(none, piece, none, rest, rest, np.zeros(rest.size, np.bool_), np.ones(rest.size))
-    return agreed(entries, nodes, pieces, cost.ravel()) - offset[:-1]
+def in_order(own: np.ndarray) -> Runs:
+    """Give runs side by side without gaps, of which each pushes the next."""
+    both = np.zeros((RUNS - 1, 4, 4))
+    for a, b in product(range(3), range(3)):
+        both[:, a, b] = DISORDER if a > b else 0.0
+    return runs_of(own, *BESIDE, both)
 
 
-def graph(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-    """Give a graph of up to eight runs."""
-    runs = int(rng.integers(2, 9))
-    pairs = np.array([(f, g) for f in range(runs) for g in range(f + 1, runs) if rng.random() < 0.5])
-    one, other = np.ascontiguousarray(pairs.reshape(-1, 2).T.astype(np.int64))
-    return rng.uniform(-3.0, 3.0, (runs, 4)), one, other, rng.uniform(0.0, 4.0, (one.size, 4, 4))
+def energy(graph: Runs, way: np.ndarray) -> float:
+    pairs = graph.both[np.arange(graph.one.size), way[graph.one], way[graph.other]]
+    return float(graph.own[np.arange(way.size), way].sum() + pairs.sum())
 
 
-def energy(own: np.ndarray, one: np.ndarray, other: np.ndarray, both: np.ndarray, way: np.ndarray) -> float:
-    pairs = np.arange(one.size)
-    return float(own[np.arange(way.size), way].sum() + both[pairs, way[one], way[other]].sum())
+@pytest.mark.parametrize("trial", range(10))
+def test_what_is_shifted_is_cheaper_and_no_shift_is_cheaper_than_the_cheapest(trial: int) -> None:
+    """Against all changes of a small graph: never dearer than before, never below the least of all."""
+    rng = np.random.default_rng(trial)
+    own = np.hstack([rng.uniform(-3.0, 3.0, (RUNS, 3)), np.full((RUNS, 1), 1e3)])
+    both = np.zeros((RUNS - 1, 4, 4))
+    both[:, :3, :3] = rng.uniform(0.0, 4.0, (RUNS - 1, 3, 3))
+    gaps = rng.integers(0, 2, RUNS - 1)  # stripes left out between neighbours
+    for t, a, b in product(range(RUNS - 1), range(3), range(3)):
+        if a >= b + 1 + gaps[t]:
+            both[t, a, b] = DISORDER
+    graph = runs_of(own, *BESIDE, both)
+    dearer, by = shifts_of(graph, LINES, 0.5)
+    before, after = energy(graph, np.full(RUNS, STAYS)), energy(graph, STAYS + by)
+    assert after <= before - 0.5 or not by.any()
+    least = min(energy(graph, np.array(way)) for way in product(range(3), repeat=RUNS))
+    assert after >= least - 1e-9
+    assert (dearer * LINES >= least - before - 1e-9).all()
+
+
+def test_a_run_without_room_takes_its_neighbours_along() -> None:
+    """Six stripes without gaps: shifting one to the right costs what it costs to shift all beyond."""
+    dearer, by = shifts_of(in_order(np.tile([2.0, 0.0, 3.0, 100.0], (RUNS, 1))), LINES, 0.5)
+    assert not by.any()
+    # one to the left takes all before it along, at 2 each; one to the right all behind it, at 3 each
+    reached = np.minimum.accumulate(np.array([2.0 * (n + 1) for n in range(RUNS)])[::-1])[::-1]
+    behind = np.minimum.accumulate(np.array([3.0 * (RUNS - n) for n in range(RUNS)]))
+    np.testing.assert_allclose(dearer * LINES, np.minimum(reached, behind))
+
+
+def test_a_small_run_in_the_way_is_left_out() -> None:
+    """Five runs that are better one stripe on; the last, of two peaks or faint ones, has no room: it goes."""
+    own = np.tile([2.0, 0.0, -9.0, 120.0], (RUNS, 1))
+    own[-1] = [2.0, 0.0, 50.0, 12.0]
+    _, by = shifts_of(in_order(own), LINES, 0.5)
+    np.testing.assert_array_equal(by, [1] * (RUNS - 1) + [OUT])
 
 
 def test_single_shifts_end_where_none_gains(rng: np.random.Generator) -> None:
-    for _ in range(40):
-        given = graph(rng)
-        way = STAYS + single_shifts(runs_of(*given), 0.5)
-        least = energy(*given, way)
-        assert least <= energy(*given, np.full(way.size, STAYS))
-        for f in range(way.size):
-            for to in range(3):
-                other_way = way.copy()
-                other_way[f] = to
-                assert energy(*given, other_way) > least - 0.5 - 1e-9
+    for _ in range(20):
+        runs = int(rng.integers(2, 9))
+        pairs = np.array([(f, g) for f in range(runs) for g in range(f + 1, runs) if rng.random() < 0.5])
+        one, other = np.ascontiguousarray(pairs.reshape(-1, 2).T.astype(np.int64))
+        own, both = rng.uniform(-3.0, 3.0, (runs, 4)), rng.uniform(0.0, 4.0, (one.size, 4, 4))
+        graph = runs_of(own, one, other, both)
+        way = STAYS + single_shifts(graph, 0.5)
+        least = energy(graph, way)
+        assert least <= energy(graph, np.full(runs, STAYS))
+        for f, to in product(range(runs), range(3)):
+            other_way = way.copy()
+            other_way[f] = to
+            assert energy(graph, other_way) > least - 0.5 - 1e-9
 
 
 def test_one_wrong_run_is_put_right_and_the_others_stand() -> None:
     """Five runs in a row; the last has its neighbour's stripe. All others could make way for it."""
-    one, other = np.arange(4), np.arange(1, 5)
     own, both = np.zeros((5, 4)), np.zeros((4, 4, 4))
-    for a in range(3):
-        for b in range(3):
-            both[:3, a, b] = 100.0 * max(a - b, 0)  # out of order
-            both[3, a, b] = 100.0 * max(a - b + 1, 0)  # as they are, too
+    for a, b in product(range(3), range(3)):
+        both[:3, a, b] = 100.0 * max(a - b, 0)  # out of order
+        both[3, a, b] = 100.0 * max(a - b + 1, 0)  # as they are, too
     own[:4, 0] = 5.0  # nothing speaks for the shift of the others
     own[4, 2] = 10.0
-    np.testing.assert_array_equal(single_shifts(runs_of(own, one, other, both), 0.5), [0, 0, 0, 0, 1])
+    graph = runs_of(own, np.arange(4), np.arange(1, 5), both)
+    np.testing.assert_array_equal(single_shifts(graph, 0.5), [0, 0, 0, 0, 1])
 
 
 @pytest.mark.parametrize("lines, forced", [(4, False), (5, True)])
@@ -87,15 +128,32 @@ def test_runs_that_hardly_touch_need_not_give_way(lines: int, forced: bool) -> N
     own = np.array([[0.0, 0.0, 0.0, 50.0], [100.0, 0.0, 100.0, 500.0]])
     disorder = np.zeros((1, 4, 4), np.int64)
     disorder[0, 2, :2] = lines
-    both = 8.0 * disorder
-    one, other = np.zeros(1, np.int64), np.ones(1, np.int64)
-    dearer, way = shifts_of(runs_of(own, one, other, both, disorder), 10, 0.5)
+    graph = runs_of(own, np.zeros(1, np.int64), np.ones(1, np.int64), 8.0 * disorder, disorder)
+    dearer, way = shifts_of(graph, LINES, 0.5)
     assert not way.any()
-    assert dearer[0] == pytest.approx(0.0)  # moved to the other side
-    assert dearer[1] == pytest.approx(10.0)
+    assert dearer * LINES == pytest.approx([0.0, 100.0])  # the left one moves to the other side
     own[0, 0] = 1000.0
-    dearer, _ = shifts_of(runs_of(own, one, other, both, disorder), 10, 0.5)
-    assert dearer[0] == pytest.approx((100.0 if forced else 8.0 * lines) / 10.0)
+    dearer, _ = shifts_of(graph, LINES, 0.5)
+    assert dearer[0] * LINES == pytest.approx(100.0 if forced else 8.0 * lines)
+
+
+def test_nodes_are_stepped_and_fall_to_none_beyond_what_is_possible() -> None:
+    nodes = Candidates(np.zeros(2, np.int64), np.array([3, 2]), np.array([0, 4, 7]), np.zeros(7), np.ones(7))
+    best = np.array([1, 5])
+    np.testing.assert_array_equal(shift_labels(nodes, best, np.array([1, 1])), [2, 6])
+    np.testing.assert_array_equal(shift_labels(nodes, best, np.array([0, -1])), [1, 4])
+    np.testing.assert_array_equal(np.flatnonzero(favour_labels(nodes, best, np.zeros(7), 6.0)), [1, 5])
+
+
+def agree(start: np.ndarray, piece: np.ndarray, rest: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """Let (entry,) pieces agree at (entry, stripe or none) costs; give (entry,) stripes."""
+    size, none, stripes = piece.size, np.full(piece.size, -1), cost.shape[1] - 1
+    entries = Entries(start, np.arange(size), np.arange(float(size)), none, none, np.zeros(size))
+    offset = np.arange(0, (stripes + 1) * size + 1, stripes + 1)
+    count = np.full(size, stripes)
+    nodes = Candidates(np.zeros(size, np.int64), count, offset, np.zeros(cost.size), np.ones(cost.size))
+    pieces = pieces_of(piece, rest)._replace(trace=none)
+    return agreed(entries, nodes, pieces, cost.ravel()) - offset[:-1]
 
 
 def test_a_piece_agrees_on_the_stripe_that_is_cheapest_for_all_of_it() -> None:
@@ -103,7 +161,7 @@ def test_a_piece_agrees_on_the_stripe_that_is_cheapest_for_all_of_it() -> None:
     cost = np.full((6, 4), 9.0)
     cost[0::2, 0] = cost[1::2, 1] = 0.0
     cost[2, :2] = 2.0, 0.0
-    way = agree(np.array([0, 2, 4, 6]), np.array([0, 1] * 3), np.array([-1, -1]), 3, cost)
+    way = agree(np.array([0, 2, 4, 6]), np.array([0, 1] * 3), np.array([-1, -1]), cost)
     np.testing.assert_array_equal(way, [0, 1] * 3)
 
 
@@ -114,11 +172,11 @@ def test_of_two_out_of_order_the_small_one_gives_way(small: str) -> None:
     piece = np.array([0, 1] * lines)
     if small == "few":  # the left piece is cut up into many
         piece = np.array([[n + 1, 0] for n in range(lines)]).ravel()
-    piece_line = np.full(piece.max() + 1, -1)
+    rest = np.full(piece.max() + 1, -1)
     if small == "end":
-        piece_line[0] = ENDS
+        rest[0] = ENDS
     cost = np.full((piece.size, 3), 9.0)
     cost[0::2, 1] = cost[1::2, 0] = 0.0
-    way = agree(np.arange(0, 2 * lines + 1, 2), piece, piece_line, 2, cost)
+    way = agree(np.arange(0, 2 * lines + 1, 2), piece, rest, cost)
     np.testing.assert_array_equal(way[0::2], 1 if small == "many" else 2)
     np.testing.assert_array_equal(way[1::2], 0)

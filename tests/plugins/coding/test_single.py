@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from roemetry.errors import StageError
-from roemetry.records import AMBIGUOUS, BELT, EDGE, Peaks
+from roemetry.records import AMBIGUOUS, BELT, Peaks
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import ON_BOARD
 from roemetry.testing import LinearRig
@@ -26,17 +26,9 @@ def peaks_of(*lines: tuple[Floats, float]) -> Peaks:
         if np.isfinite(x)
     )
     row, x_px, amplitude = (np.array(values) for values in zip(*found, strict=True))
-    same = np.ones(row.size)
-    return Peaks(
-        image_size=(RIG.rows, RIG.columns),
-        row=row.astype(np.int64),
-        x_px=x_px.astype(np.float64),
-        x_std_px=0.1 * same,
-        amplitude=amplitude.astype(np.float64),
-        background=10.0 * same,
-        width_px=4.0 * same,
-        flags=np.zeros(row.size, np.uint8) * EDGE,
-    )
+    same, none = np.ones(row.size), np.zeros(row.size, np.uint8)
+    size = (RIG.rows, RIG.columns)
+    return Peaks(size, row, x_px, 0.1 * same, amplitude, 10.0 * same, 4.0 * same, none)
 
 
 def bump() -> Floats:
@@ -59,19 +51,13 @@ def test_the_line_is_followed_through_reflections_and_gaps(rng: np.random.Genera
     assert (found.product[0, 5:55] == BELT).all()
 
 
-def test_a_brighter_patch_of_glare_is_left_aside() -> None:
+def test_without_a_belt_all_is_one_product_but_for_brighter_glare() -> None:
     glare = np.full(RIG.rows, np.nan)
     glare[100:103] = 250.0
     peaks = peaks_of((bump(), 100.0), (glare, 200.0))
-    found = Single().code(peaks, RIG.calibration())
-    assert (found.peak_stripe[peaks.x_px == 250.0] != 0).all()
-
-
-def test_without_a_belt_all_is_one_product() -> None:
-    peaks = peaks_of((bump(), 100.0))
-    nowhere = replace(RIG.calibration(), reference=ON_BOARD)
-    for calibration in (None, nowhere):
+    for calibration in (None, replace(RIG.calibration(), reference=ON_BOARD)):
         found = Single().code(peaks, calibration)
+        assert (found.peak_stripe[peaks.x_px == 250.0] != 0).all()
         assert (found.product[found.seen] == 1).all()
         assert np.isnan(found.rest_px).all()
 

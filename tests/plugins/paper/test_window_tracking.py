@@ -43,16 +43,6 @@ def test_a_dome_is_labelled_whole_without_a_calibration(rig, rng) -> None:
     assert set(np.unique(stripes.product)) <= {NOTHING, BELT, 1}
 
 
-def test_the_papers_follower_takes_the_wedge_for_belt(rig, rng) -> None:
-    """What the literal rule does: the wedge is traced from the belt, and no body is left over."""
-    row = np.arange(rig.rows)
-    height = np.clip(0.5 * rig.mm_per_px * np.minimum(row - 60, 180 - row), 0.0, None)
-    x_px = rig.x_px(np.where((np.arange(rig.stripes) == 3)[:, None], height, 0.0))
-    literal = WindowTracking(WindowTrackingOptions(belt="interruption"))
-    stripes = literal.code(peaks_of(rig, x_px), rig.calibration())
-    assert any(reason.code == "literal-coding" for reason in stripes.reasons)
-
-
 def test_the_papers_order_is_shifted_by_a_hidden_body(rig, rng) -> None:
     """Why the literal rule is not the default: it is silently wrong here, and nothing says so."""
     heights = np.zeros((rig.stripes, rig.rows))
@@ -62,16 +52,8 @@ def test_the_papers_order_is_shifted_by_a_hidden_body(rig, rng) -> None:
     found = peaks_of(rig, x_px, rng)
     literal = WindowTracking(WindowTrackingOptions(belt="interruption")).code(found, rig.calibration())
     assert wrong_points(literal, x_px) > 100
+    assert any(reason.code == "literal-coding" for reason in literal.reasons)
     assert wrong_points(WindowTracking().code(found, rig.calibration()), x_px) == 0
-
-
-def test_a_missing_stripe_costs_only_itself(rig, rng) -> None:
-    x_px = rig.x_px(rig.dome(12.0))
-    x_px[3] = np.nan
-    stripes = WindowTracking().code(peaks_of(rig, x_px, rng), rig.calibration())
-    assert wrong_points(stripes, x_px) == 0
-    assert coded_share(stripes, x_px) > 0.99
-    assert "stripe 4" in stripes.reasons[0].text
 
 
 def test_short_gaps_are_bridged_by_straight_lines_and_long_ones_are_not(rig) -> None:
@@ -98,37 +80,12 @@ def test_two_products_have_two_numbers(rig, rng) -> None:
     assert 2 not in stripes.product[:3]
 
 
-def test_a_bright_blob_is_not_a_stripe(rig) -> None:
-    x_px = rig.x_px(rig.dome(12.0))
-    picture = rig.image(x_px).astype(float)
-    rows, columns = np.mgrid[: rig.rows, : rig.columns]
-    picture += 200 * np.exp(-0.5 * (((rows - 40) / 3.0) ** 2 + ((columns - 100) / 3.0) ** 2))
-    frame = Frame(np.clip(picture, 0, 255).astype(np.uint8))
-    found = DominantPeak(DominantPeakOptions(threshold=60, start="lowest")).extract(frame)
-    stripes = WindowTracking().code(found, rig.calibration())
-    assert wrong_points(stripes, x_px) == 0
-
-
 def test_dirt_on_the_belt_is_said_and_left_out(rig) -> None:
     heights = np.zeros((rig.stripes, rig.rows))
     heights[3, 100:118] = 4.0
     stripes = WindowTracking().code(peaks_of(rig, rig.x_px(heights)), rig.calibration())
     assert not (stripes.product > 0).any()
     assert any(reason.code == "dirt" for reason in stripes.reasons)
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (lambda rig, x: x * np.nan, "no stripe was found"),
-        (lambda rig, x: x + 15.0, "no stripe lies where"),
-    ],
-    ids=["dark", "moved"],
-)
-def test_refusals(rig, change, says: str) -> None:
-    x_px = change(rig, rig.x_px(np.zeros((rig.stripes, rig.rows))))
-    with pytest.raises(StageError, match=says):
-        WindowTracking().code(peaks_of(rig, x_px), rig.calibration())
 
 
 def test_a_recipe_that_expects_another_number_of_stripes(rig) -> None:
@@ -140,14 +97,6 @@ def test_a_recipe_that_expects_another_number_of_stripes(rig) -> None:
         coder.code(peaks_of(rig, x_px), None)
 
 
-def test_crossing_rest_lines_are_refused(rig) -> None:
-    crossing = np.column_stack([rig.rest_px, np.linspace(2.0, -2.0, rig.stripes)])
-    with pytest.raises(StageError, match="cross"):
-        WindowTracking().code(
-            peaks_of(rig, rig.x_px(rig.dome())), replace(rig.calibration(), rest_px=crossing)
-        )
-
-
 def test_without_belt_or_calibration_pieces_are_numbered_and_it_says_so(rig) -> None:
     x_px = np.full((rig.stripes, rig.rows), np.nan)
     x_px[:, 60:180] = rig.x_px(rig.dome())[:, 60:180]
@@ -157,7 +106,7 @@ def test_without_belt_or_calibration_pieces_are_numbered_and_it_says_so(rig) -> 
     assert not (stripes.product == BELT).any()
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     seed=st.integers(0, 2**32 - 1),
     height=st.floats(2.0, 24.0),

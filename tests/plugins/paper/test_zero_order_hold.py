@@ -116,13 +116,6 @@ def test_it_is_the_papers_sum(rng):
     assert value(product) == pytest.approx(paper, abs=1e-6)  # mm³
 
 
-def test_points_may_come_in_any_order():
-    product = product_of(half_cylinder)
-    names = ("xyz_mm", "product", "seen", "x_px", "row_px", "height_std_mm")
-    turned = {name: getattr(product.profiles, name)[:, ::-1] for name in names}
-    assert value(with_profiles(product, **turned)) == pytest.approx(value(product), abs=1e-9)
-
-
 @pytest.mark.parametrize("how", ["nothing seen", "no slice"])
 def test_a_dead_stripe_is_held_over_and_counted_as_assumed(how):
     kept = np.arange(STRIPES) != 5
@@ -135,20 +128,9 @@ def test_a_dead_stripe_is_held_over_and_counted_as_assumed(how):
     assert (volume.shares.seen, volume.shares.assumed) == pytest.approx((0.8, 0.2), abs=1e-12)
     assert [reason.code for reason in volume.reasons] == ["dead-stripe"]
     assert "1 stripe shows nothing (after stripe 5)" in volume.reasons[0].text
-
-
-def test_two_dead_stripes_in_a_row():
-    volume = estimate(without(BOX, [4, 5]))
-    assert volume.shares.assumed == pytest.approx(0.4, abs=1e-12)
-    assert "2 stripes show nothing (after stripe 4)" in volume.reasons[0].text
-
-
-def test_bare_stripes_beyond_the_product_are_not_dead():
-    volume = estimate(product_of(box(25.0, 35.0)))
-    assert volume.slice_stripe.tolist() == [3]
-    assert volume.visible_mm3.value == pytest.approx(1000.0, abs=1e-6)  # mm³
-    assert volume.shares.assumed == 0.0
-    assert volume.reasons == ()
+    two = estimate(without(BOX, [4, 5]))
+    assert two.shares.assumed == pytest.approx(0.4, abs=1e-12)
+    assert "2 stripes show nothing (after stripe 4)" in two.reasons[0].text
 
 
 def test_belt_points_make_a_stripe_live_with_area_zero():
@@ -175,12 +157,6 @@ def test_rows_neither_seen_nor_bridged_count_nothing_and_are_told():
     assert volume.visible_mm3.value == pytest.approx(5000.0 - 40 * 0.1 * 5.0 * 10.0, abs=1e-6)  # mm³
     assert [reason.code for reason in volume.reasons] == ["gap-in-slice"]
     assert volume.reasons[0].text.startswith("40 rows ")
-
-
-def test_a_point_alone_stands_for_one_row():
-    alone = without(without(BOX, [4], slice(200, 202)), [4], slice(203, 480))
-    kept = 1000.0 * 4 + (60 + 1) * 0.1 * 5.0 * 10.0  # rows 140 … 199, and 202
-    assert value(alone) == pytest.approx(kept, abs=1e-6)  # mm³
 
 
 def test_each_point_owns_half_the_way_to_its_neighbours():
@@ -221,8 +197,7 @@ def test_slices_of_several_frames_make_one_product():
     volume = estimate(scan)
     exact = 0.5 * math.pi * 15.0**2 * (x_mm[x_mm > 75.0].min() - x_mm[x_mm > 15.0].min())
     assert volume.visible_mm3.value == pytest.approx(exact, abs=10.0)  # mm³
-    assert volume.shares.assumed == 0.0
-    assert volume.reasons == ()
+    assert (volume.shares.assumed, volume.reasons) == (0.0, ())
 
 
 def test_the_last_stripes_slice_is_not_counted_and_told():

@@ -50,11 +50,15 @@ def test_dots_beside_every_ray_are_refused_and_not_guessed() -> None:
         EpipolarDots().code(rig.dots(moved), rig.dot_calibration())
 
 
-@pytest.mark.parametrize("stage", ["coder=planes", "triangulator=pinhole-plane"])
-def test_a_recipe_whose_stages_see_other_light_is_refused(stage: str) -> None:
-    kind, name = stage.split("=")
-    with pytest.raises(ConfigurationError, match=f"`{name}` is made for lines"):
-        Recipe.load("recipes/potato_dots", sets=[f"stages.{kind}={{use: {name}}}", "calibration=null"])
+@pytest.mark.parametrize("pattern", ["dots", "grid"])
+def test_stages_and_simulators_for_lines_alone_are_refused(pattern: str) -> None:
+    folder = f"recipes/potato_{pattern}"
+    for kind, name in (("coder", "planes"), ("triangulator", "pinhole-plane")):
+        with pytest.raises(ConfigurationError, match=f"`{name}` is made for lines"):
+            Recipe.load(folder, sets=[f"stages.{kind}={{use: {name}}}", "calibration=null"])
+    for simulator in ("moving-belt", "mitsuba"):
+        with pytest.raises(ConfigurationError, match=pattern):
+            Scene.load(f"{folder}/simulated.yaml", sets=[f"simulator.use={simulator}"]).make()
 
 
 def test_drawn_dots_are_where_the_truth_says() -> None:
@@ -74,10 +78,3 @@ def test_drawn_dots_are_where_the_truth_says() -> None:
     assert off.max() < 0.1  # px
     # a dot lies in its plane, on the belt
     assert np.abs(truth.xyz_mm[stripe, row, 2]).max() < 1e-9
-
-
-@pytest.mark.parametrize("simulator", ["moving-belt", "mitsuba"])
-def test_simulators_without_dots_refuse_them(simulator: str) -> None:
-    sets = [f"simulator.use={simulator}"]
-    with pytest.raises(ConfigurationError, match="dots"):
-        Scene.load("recipes/potato_dots/simulated.yaml", sets=sets).make()

@@ -13,7 +13,7 @@ import pytest
 
 from roemetry import Recipe
 from roemetry.config.scene import Scene
-from roemetry.errors import ConfigurationError, StageError
+from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, Sensor
 from roemetry.records.calibration import Calibration
 from roemetry.testing.grids import GridRig
@@ -161,17 +161,6 @@ def _of_one_and_one(grid: Calibration) -> Calibration:
 
     across = left(grid.across, turned_parameters(both, grid.image_size[1]), 5)
     return replace(left(grid, both, 7), across=across)
-
-
-@pytest.mark.parametrize("simulator", ["moving-belt", "mitsuba"])
-def test_simulators_without_grids_refuse_them(simulator: str) -> None:
-    with pytest.raises(ConfigurationError, match="grid"):
-        Scene.load(GRID / "simulated.yaml", sets=[f"simulator.use={simulator}"]).make()
-
-
-def test_stages_for_lines_are_refused_under_a_grid() -> None:
-    with pytest.raises(ConfigurationError, match="`planes` is made for lines"):
-        Recipe.load(GRID, sets=["stages.coder={use: planes}"])
 
 
 def test_points_of_a_line_are_pooled_and_dots_are_not(rng: np.random.Generator) -> None:

@@ -64,41 +64,19 @@ def _as_dots(pixels: Pixels) -> StripeMap:
     )
 
 
-def test_a_grid_whose_rows_and_columns_are_exchanged_is_refused(grid: Pixels) -> None:
-    with pytest.raises(StageError, match="no stripe lies where the 15 rest lines are"):
-        _as_grid(_on_its_side(grid))
-
-
-def test_dots_whose_rows_and_columns_are_exchanged_are_refused(dots: Pixels) -> None:
-    with pytest.raises(StageError, match="lie where a ray"):
-        _as_dots(_on_its_side(dots))
-
-
-def test_half_of_the_dots_is_refused(dots: Pixels) -> None:
-    count, label = cv2.connectedComponents((dots > 20).astype(np.uint8))
-    gone = np.isin(label, np.arange(1, count, 2)).astype(np.uint8)
-    left = np.where(cv2.dilate(gone, np.ones((7, 7))) > 0, _DARK, dots).astype(np.uint8)
-    with pytest.raises(StageError, match=r"dots are seen on 399 rays"):
-        _as_dots(left)
-
-
-def test_dots_are_no_grid_and_a_grid_is_no_dots(grid: Pixels, dots: Pixels) -> None:
-    with pytest.raises(StageError, match="no stripe lies where the 15 rest lines are"):
-        _as_grid(dots)
-    with pytest.raises(StageError, match="another pattern"):
-        _as_dots(grid)
-
-
-def test_lines_of_one_family_are_no_grid(grid: Pixels) -> None:
+def test_what_is_not_the_pattern_that_was_calibrated_is_refused(grid: Pixels, dots: Pixels) -> None:
     # what is left where the image is as bright as its rows' neighbours: the lines that cross rows
     upright = cv2.erode(grid, np.ones((9, 1), np.uint8))
-    with pytest.raises(StageError, match="lines across"):
-        _as_grid(upright)
-
-
-def test_a_saturated_grid_is_said_to_be_saturated(grid: Pixels) -> None:
-    with pytest.raises(StageError, match="of the peaks are saturated"):
-        _as_grid(np.clip(4.0 * grid, 0, 255).astype(np.uint8))
+    for coded, pixels, says in (
+        (_as_grid, _on_its_side(grid), "no stripe lies where the 15 rest lines are"),
+        (_as_grid, dots, "no stripe lies where the 15 rest lines are"),
+        (_as_grid, upright, "lines across"),
+        (_as_grid, np.clip(4.0 * grid, 0, 255).astype(np.uint8), "of the peaks are saturated"),
+        (_as_dots, _on_its_side(dots), "lie where a ray"),
+        (_as_dots, grid, "another pattern"),
+    ):
+        with pytest.raises(StageError, match=says):
+            coded(pixels)
 
 
 def test_two_dots_that_have_merged_are_not_used_and_spoil_no_other(dots: Pixels) -> None:

@@ -8,11 +8,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 from scipy.special import erf
 
 from roemetry.errors import DataError, StageError
-from roemetry.records import EDGE, SATURATED, Frame, Peaks, Sensor
+from roemetry.records import Frame, Sensor
 from roemetry_peaks.maximum_likelihood import (
     MaximumLikelihood,
     MaximumLikelihoodOptions,
@@ -20,33 +19,21 @@ from roemetry_peaks.maximum_likelihood import (
     starts,
 )
 from roemetry_peaks.measure_noise import main, measured
+from tests.plugins.peaks.drawing import GAIN, READ, SENSOR, errors_px, exposed, integrated, rms, speckled
 
-GAIN, READ = 0.0255, 1.0
-SENSOR = Sensor(GAIN, READ)
 SIGMA_PX, AMPLITUDE, LIGHT = 2.0, 150.0, 12.0
+ROWS, STRIPES = 240, 9
+X_PX = 30.0 + 40.37 * np.arange(STRIPES)[:, None] + 0.02 * np.arange(ROWS)
 
 
-def true_x_px(rows: int = 240, stripes: int = 9) -> np.ndarray:
-    lean = 0.02 * np.arange(rows)[None, :]
-    return 30.0 + 40.0 * np.arange(stripes)[:, None] + 0.37 * np.arange(stripes)[:, None] + lean
-
-
-def drawn(
-    rng: np.random.Generator, contrast: float | np.ndarray, x_px: np.ndarray | None = None, columns: int = 400
-) -> np.ndarray:
+def drawn(rng: np.random.Generator, contrast: float, x_px: np.ndarray = X_PX) -> np.ndarray:
     """Stripes integrated over pixels, with speckle, shot noise, read noise and rounding."""
-    x_px = true_x_px() if x_px is None else x_px
-    rows = x_px.shape[1]
-    light = np.zeros((rows, columns))
-    for line in x_px:
-        d = np.arange(columns)[None, :] - line[:, None]
-        s = SIGMA_PX * np.sqrt(2.0)
-        light += 0.5 * AMPLITUDE * SIGMA_PX * np.sqrt(2 * np.pi) * (erf((d + 0.5) / s) - erf((d - 0.5) / s))
-    grains = gaussian_filter(rng.standard_normal((rows, columns)), 0.8)
-    grains = grains / grains.std() * contrast
-    mean = light * np.exp(grains - np.square(contrast) / 2.0) + LIGHT
-    noisy = mean + rng.standard_normal(mean.shape) * np.sqrt(GAIN * mean + READ**2)
-    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+    light = sum(integrated(line, SIGMA_PX, AMPLITUDE, 400) for line in x_px)
+    return exposed(speckled(light, contrast, rng) + LIGHT, rng)
+
+
+def made(**told: object) -> MaximumLikelihood:
+    return MaximumLikelihood(MaximumLikelihoodOptions(**told))
 
 
 def bound_px(contrast: float, correlation_px: float = 0.8) -> float:
@@ -60,22 +47,17 @@ def bound_px(contrast: float, correlation_px: float = 0.8) -> float:
     return float(np.sqrt(np.linalg.inv(jacobian.T @ np.linalg.solve(noise, jacobian))[0, 0]))
 
 
-def errors_px(peaks: Peaks, x_px: np.ndarray) -> np.ndarray:
-    off = peaks.x_px[:, None] - x_px[:, peaks.row].T
-    return np.take_along_axis(off, np.abs(off).argmin(1)[:, None], axis=1)[:, 0]
-
-
 @pytest.mark.parametrize("contrast", [0.0, 0.15, 0.25])
 @pytest.mark.parametrize("sensor", [SENSOR, None], ids=["known", "estimated"])
 def test_one_mode_is_at_the_bound_and_knows_it(
     contrast: float, sensor: Sensor | None, rng: np.random.Generator
 ) -> None:
-    peaks = MaximumLikelihood().extract(Frame(drawn(rng, contrast), sensor=sensor))
-    assert len(peaks) == true_x_px().size
-    error = errors_px(peaks, true_x_px())
-    assert np.sqrt((error**2).mean()) < 1.06 * bound_px(contrast)
+    peaks = made().extract(Frame(drawn(rng, contrast), sensor=sensor))
+    assert len(peaks) == X_PX.size
+    error = errors_px(peaks, X_PX)
+    assert rms(error) < 1.06 * bound_px(contrast)
     assert abs(error.mean()) < 0.006 + 3.0 * error.std() / np.sqrt(error.size)
-    assert 0.92 < np.sqrt((peaks.x_std_px**2).mean()) / error.std() < 1.08
+    assert 0.92 < rms(peaks.x_std_px) / error.std() < 1.08
     assert [reason.code for reason in peaks.reasons] == ([] if sensor else ["noise-estimated"])
 
 
@@ -91,91 +73,46 @@ def test_the_noise_is_estimated_as_it_was_drawn(rng: np.random.Generator) -> Non
     assert np.sqrt(noise.contrast2.max()) < 0.02
 
 
-def test_two_materials_in_one_image_have_a_contrast_each(rng: np.random.Generator) -> None:
-    left = np.arange(400)[None, :] < 205
-    frame = Frame(drawn(rng, np.where(left, 0.03, 0.25)), sensor=SENSOR)
-    peaks = MaximumLikelihood().extract(frame)
-    error = errors_px(peaks, true_x_px())
-    for side, contrast in ((peaks.x_px < 195, 0.03), (peaks.x_px > 215, 0.25)):
-        assert np.sqrt((error[side] ** 2).mean()) < 1.1 * bound_px(contrast)
-
-
 def test_errors_along_the_stripe_are_as_correlated_as_said(rng: np.random.Generator) -> None:
-    peaks = MaximumLikelihood().extract(Frame(drawn(rng, 0.2), sensor=SENSOR))
-    error = errors_px(peaks, true_x_px()).reshape(240, 9)
+    peaks = made().extract(Frame(drawn(rng, 0.2), sensor=SENSOR))
+    error = errors_px(peaks, X_PX).reshape(ROWS, STRIPES)
     error -= error.mean(0)
-    seen = [float((error[lag:] * error[: 240 - lag]).mean() / (error**2).mean()) for lag in (1, 2)]
+    seen = [float((error[lag:] * error[: ROWS - lag]).mean() / (error**2).mean()) for lag in (1, 2)]
     said = [np.exp(-(lag**2) / (4 * peaks.correlation_rows**2)) for lag in (1, 2)]
     assert sum(said) == pytest.approx(sum(seen), abs=0.1)
-    clean = MaximumLikelihood().extract(Frame(drawn(rng, 0.0), sensor=SENSOR))
-    assert clean.correlation_rows < 0.4
-
-
-def test_hot_pixels_are_no_stripes_and_no_harm(rng: np.random.Generator) -> None:
-    pixels = drawn(rng, 0.0).astype(np.int64)
-    hot = rng.integers(0, pixels.size, 40)
-    pixels.flat[hot] += 120
-    peaks = MaximumLikelihood().extract(Frame(np.clip(pixels, 0, 255).astype(np.uint8), sensor=SENSOR))
-    assert len(peaks) == true_x_px().size
-    assert np.abs(errors_px(peaks, true_x_px())).max() < 0.3
+    assert made().extract(Frame(drawn(rng, 0.0), sensor=SENSOR)).correlation_rows < 0.4
 
 
 @pytest.mark.parametrize("spacing_sigmas", [8, 10])
 def test_near_stripes_do_not_disturb_each_other(spacing_sigmas: int, rng: np.random.Generator) -> None:
     x_px = 40.0 + spacing_sigmas * SIGMA_PX * np.arange(12)[:, None] + 0.03 * np.arange(120)[None, :]
-    peaks = MaximumLikelihood().extract(Frame(drawn(rng, 0.0, x_px), sensor=SENSOR))
+    peaks = made().extract(Frame(drawn(rng, 0.0, x_px), sensor=SENSOR))
     assert len(peaks) == x_px.size
-    assert np.sqrt((errors_px(peaks, x_px) ** 2).mean()) < 1.08 * bound_px(0.0)
-
-
-def test_saturated_and_cut_off_stripes_are_flagged(rng: np.random.Generator) -> None:
-    x_px = np.array([[3.0], [150.0], [250.0]]) + np.zeros((1, 40))
-    pixels = drawn(rng, 0.0, x_px, 300).astype(np.float64)
-    pixels[:, 200:] = (pixels[:, 200:] - LIGHT) * 4.0
-    peaks = MaximumLikelihood().extract(Frame(np.clip(pixels, 0, 255).astype(np.uint8), sensor=SENSOR))
-    for line, flag in zip(x_px[:, 0], (EDGE, 0, SATURATED), strict=True):
-        near = np.abs(peaks.x_px - line) < 2.0
-        assert near.sum() == 40
-        assert (peaks.flags[near] == flag).all()
-        assert np.abs(peaks.x_px[near] - line).max() < 0.25
+    assert rms(errors_px(peaks, x_px)) < 1.08 * bound_px(0.0)
 
 
 def test_a_region_gives_the_same_peaks_as_the_whole(rng: np.random.Generator) -> None:
     frame = Frame(drawn(rng, 0.0), sensor=SENSOR)
     told = {"speckle_contrast": 0.0, "threshold": 20.0}
-    whole = MaximumLikelihood(MaximumLikelihoodOptions(**told)).extract(frame)
-    part = MaximumLikelihood(MaximumLikelihoodOptions(**told, region=(50, 90, 92, 215))).extract(frame)
+    whole, part = made(**told).extract(frame), made(**told, region=(50, 90, 92, 215)).extract(frame)
     inside = (whole.row >= 58) & (whole.row < 82) & (np.abs(whole.x_px - 150) < 60)
     shown = (part.row >= 58) & (part.row < 82)
     assert inside.sum() == shown.sum() == 24 * 3
     # Peaks that are fitted side by side stop together, a little earlier or later.
     assert np.abs(part.x_px[shown] - whole.x_px[inside]).max() < 1e-3
     with pytest.raises(StageError, match="region"):
-        MaximumLikelihood(MaximumLikelihoodOptions(region=(0, 500, 0, 10))).extract(frame)
+        made(region=(0, 500, 0, 10)).extract(frame)
 
 
-# The noise as a file
-
-
-@pytest.fixture
-def noise_file(rng: np.random.Generator, tmp_path: Path) -> Path:
+def test_noise_from_a_file_does_what_the_images_own_does_and_of_other_images_is_refused(
+    rng: np.random.Generator, tmp_path: Path
+) -> None:
+    noise_file, pixels = tmp_path / "noise.json", drawn(rng, 0.2)
     frames = [Frame(drawn(rng, 0.2), sensor=SENSOR) for _ in range(2)]
-    path = tmp_path / "noise.json"
-    path.write_text(json.dumps(measured(frames, MaximumLikelihoodOptions())), "utf-8")
-    return path
-
-
-def test_noise_from_a_file_does_what_the_images_own_does(noise_file: Path, rng: np.random.Generator) -> None:
-    frame = Frame(drawn(rng, 0.2))
-    error = errors_px(
-        MaximumLikelihood(MaximumLikelihoodOptions(noise=noise_file)).extract(frame), true_x_px()
-    )
-    assert np.sqrt((error**2).mean()) < 1.06 * bound_px(0.2)
-
-
-def test_a_noise_file_of_other_images_is_refused(noise_file: Path, rng: np.random.Generator) -> None:
-    extractor = MaximumLikelihood(MaximumLikelihoodOptions(noise=noise_file))
-    pixels = drawn(rng, 0.0)
+    held = measured(frames, MaximumLikelihoodOptions())
+    noise_file.write_text(json.dumps(held), "utf-8")
+    extractor = made(noise=noise_file)
+    assert rms(errors_px(extractor.extract(Frame(pixels)), X_PX)) < 1.06 * bound_px(0.2)
     for frame, said in (
         (Frame(pixels[:100]), "image_size"),
         (Frame(pixels, turn_deg=180), "turn_deg"),
@@ -183,15 +120,16 @@ def test_a_noise_file_of_other_images_is_refused(noise_file: Path, rng: np.rando
     ):
         with pytest.raises(StageError, match=said):
             extractor.extract(frame)
-    held = json.loads(noise_file.read_text("utf-8"))
-    for broken in ({**held, "speckle_contrast": [[0.1]]}, {**held, "frames": 0}, {}, [1]):
-        path = noise_file.with_name(f"broken{len(broken)}{len(str(broken))}.json")
-        path.write_text(json.dumps(broken), "utf-8")
+    broken = tmp_path / "broken.json"
+    for content in ({**held, "speckle_contrast": [[0.1]]}, {**held, "frames": 0}, {}, [1]):
+        broken.write_text(json.dumps(content), "utf-8")
         with pytest.raises(StageError, match="broken"):
-            MaximumLikelihood(MaximumLikelihoodOptions(noise=path)).extract(Frame(pixels))
-    gone = MaximumLikelihood(MaximumLikelihoodOptions(noise=noise_file.with_name("gone.json")))
+            made(noise=broken).extract(Frame(pixels))
     with pytest.raises(StageError, match="cannot be read"):
-        gone.extract(Frame(pixels))
+        made(noise=tmp_path / "gone.json").extract(Frame(pixels))
+    for nothing in ([], [Frame(np.zeros((50, 60), np.uint8))]):
+        with pytest.raises(DataError):
+            measured(nothing, MaximumLikelihoodOptions())
 
 
 RECIPE = """\
@@ -217,40 +155,31 @@ def test_the_command_measures_a_recipes_images(
     assert "maximum-likelihood" in capsys.readouterr().err
 
 
-def test_there_must_be_stripes_to_measure_noise() -> None:
-    for frames in ([], [Frame(np.zeros((50, 60), np.uint8))]):
-        with pytest.raises(DataError):
-            measured(frames, MaximumLikelihoodOptions())
-
-
 @pytest.mark.parametrize("threshold", ["auto", 20.0])
 def test_overexposed_stripes_of_no_gaussian_shape_are_not_taken_for_noise(
     threshold: float | str, rng: np.random.Generator
 ) -> None:
-    x_px = true_x_px()
-    off = np.abs(np.arange(400)[None, None, :] - x_px[:, :, None])
-    height = rng.uniform(200.0, 1200.0, x_px.shape)[:, :, None]
+    off = np.abs(np.arange(400)[None, None, :] - X_PX[:, :, None])
+    height = rng.uniform(200.0, 1200.0, X_PX.shape)[:, :, None]
     flat = (height * np.clip(4.0 - off, 0.0, 1.0) + 60.0 * np.exp(-off / 3.0)).sum(axis=0)
     _, packed = cv2.imencode(".jpg", np.clip(flat, 0, 255).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 85])
     pixels = cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE)
-    extractor = MaximumLikelihood(MaximumLikelihoodOptions(threshold=threshold))
+    extractor = made(threshold=threshold)
     image, found = starts(Frame(pixels), extractor.options)
     noise = estimated_noise(image, 255, found)
     assert noise.variance <= 5.2**2  # grey levels²
     assert noise.gain <= 1.0
-    peaks = extractor.extract(Frame(pixels))
-    off_px = np.abs(peaks.x_px - x_px[:, peaks.row]).min(axis=0)
-    assert (off_px < 1.0).sum() >= 0.9 * x_px.size  # px
+    off_px = np.abs(errors_px(extractor.extract(Frame(pixels)), X_PX))
+    assert (off_px < 1.0).sum() >= 0.9 * X_PX.size  # px
 
 
 def test_a_stripe_narrower_than_a_hot_pixel_goes_on(rng: np.random.Generator) -> None:
     pixels = rng.normal(12.0, 1.0, (60, 120))
     x_px = 40.2 + 0.05 * np.arange(60)
-    for row, x in enumerate(x_px):
-        d = np.arange(120) - x
-        pixels[row] += 80.0 * (erf((d + 0.5) / 1.0) - erf((d - 0.5) / 1.0))  # σ 0.7: 1.67 px wide
+    d = np.arange(120) - x_px[:, None]
+    pixels += 80.0 * (erf((d + 0.5) / 1.0) - erf((d - 0.5) / 1.0))  # σ 0.7: 1.67 px wide
     pixels[20, 90] = 200.0
-    peaks = MaximumLikelihood().extract(Frame(np.rint(pixels).astype(np.uint8)))
+    peaks = made().extract(Frame(np.rint(pixels).astype(np.uint8)))
     assert (peaks.width_px < MaximumLikelihoodOptions().width_min_px).all()
     assert set(peaks.row) >= set(range(1, 59)), "first and last go on to one side only"
     assert np.abs(peaks.x_px - x_px[peaks.row]).max() < 0.1, "px; the hot pixel is 50 px beside"

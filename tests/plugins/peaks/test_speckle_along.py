@@ -39,18 +39,13 @@ def contrast_along(there, rows, noise):
     return np.sqrt(found[0])
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("contrast", [0.05, 0.15, 0.4])
-def test_scatter_tells_the_contrast(contrast, rng):
-    found = contrast_along(stripes(lines(rng, contrast)), ROWS, UNKNOWN)
-    assert found == pytest.approx(contrast, rel=0.2)
-
-
-def test_breaks_and_steps_do_not_matter(rng):
-    middle = lines(rng, 0.15)
+def test_scatter_tells_the_contrast_also_beside_breaks_and_steps(contrast, rng):
+    middle = lines(rng, contrast)
+    assert contrast_along(stripes(middle), ROWS, UNKNOWN) == pytest.approx(contrast, rel=0.2)
     middle[rng.random(middle.shape) < 0.1] = np.nan
     middle[100:130, 0] += 12.0
-    assert contrast_along(stripes(middle), ROWS, UNKNOWN) == pytest.approx(0.15, rel=0.25)
+    assert contrast_along(stripes(middle), ROWS, UNKNOWN) == pytest.approx(contrast, rel=0.25)
 
 
 def test_the_sensors_noise_is_no_speckle(rng):
@@ -65,29 +60,8 @@ def test_the_sensors_noise_is_no_speckle(rng):
 def test_few_rows_say_nothing(rng):
     assert contrast_along(stripes(lines(rng, 0.3, rows=20)), 20, UNKNOWN) == 0.0
     assert contrast_along(stripes(np.full((5, 0), 0.0)), 5, UNKNOWN) == 0.0
-
-
-def test_rows_far_from_each_other_are_not_compared(rng):
-    middle = rng.uniform(0.0, 600.0, (ROWS, 1))
-    found = contrast_along(stripes(middle), ROWS, UNKNOWN)
-    assert found == 0.0
-
-
-def test_two_materials_have_a_contrast_each(rng):
-    """Twelve lines; in the middle third of the rows of six of them the contrast is three times as high."""
-    y = np.arange(ROWS)[:, None]
-    there = 25.0 + 50.0 * np.arange(12)[None] + 0.02 * y
-    product = (np.abs(y - ROWS / 2) < ROWS / 6) & (np.abs(there - COLUMNS / 2) < 150.0)
-    contrast = np.where(product, 0.24, 0.08)
-    middle = there + contrast * PX_A_CONTRAST * rng.standard_normal(there.shape)
-    s = stripes(middle)
-    found = contrasts_along(s, ROWS, COLUMNS, UNKNOWN)
-    assert found.shape == s.row.shape
-    # Away from the materials' border by a tile and the rows that a difference takes.
-    along, across = np.abs(s.row - ROWS / 2), np.abs(s.middle - COLUMNS / 2)
-    inside, outside = (along < ROWS / 6 - 45) & (across < 110.0), (along > ROWS / 6 + 45) | (across > 200.0)
-    assert np.sqrt(found[inside].mean()) == pytest.approx(0.24, rel=0.15)
-    assert np.sqrt(found[outside].mean()) == pytest.approx(0.08, rel=0.2)
+    # nor do rows whose stripes lie far from each other
+    assert contrast_along(stripes(rng.uniform(0.0, 600.0, (ROWS, 1))), ROWS, UNKNOWN) == 0.0
 
 
 def test_speckle_on_the_product_only_is_found(rng):

@@ -1,11 +1,11 @@
-"""steger: stripes of any lean, to a hundredth of a pixel; hot pixels are no stripes."""
+"""steger: stripes of any lean, to a hundredth of a pixel, up to where they end."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from roemetry.records import SATURATED, Frame, Peaks
+from roemetry.records import Frame, Peaks
 from roemetry_peaks.steger import Steger, StegerOptions
 
 ROWS, COLUMNS, SIGMA_PX = 160, 240, 1.8
@@ -31,7 +31,7 @@ def inside(peaks: Peaks) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize("slope", [0.0, 0.5, 1.0, 2.5, 6.0])
+@pytest.mark.parametrize("slope", [0.0, -0.5, 1.0, -2.5, 6.0])
 def test_leaning_stripes_are_where_they_are(slope: float, rng: np.random.Generator) -> None:
     pixels, x_px = leaning(slope, rng)
     peaks = Steger().extract(Frame(pixels))
@@ -47,25 +47,6 @@ def test_leaning_stripes_are_where_they_are(slope: float, rng: np.random.Generat
     assert np.median(peaks.amplitude[here]) == pytest.approx(150.0, rel=0.05)
 
 
-def test_mirrored_images_have_mirrored_peaks(rng: np.random.Generator) -> None:
-    pixels, _ = leaning(1.0, rng)
-    here, there = (Steger().extract(Frame(image)) for image in (pixels, pixels[:, ::-1]))
-    assert len(here) == len(there)
-    for row in range(AWAY, ROWS - AWAY):
-        one = here.x_px[here.row == row]
-        other = COLUMNS - 1 - there.x_px[there.row == row][::-1]
-        assert np.abs(one - other).max() < 1e-6
-
-
-def test_hot_pixels_are_no_stripes(rng: np.random.Generator) -> None:
-    pixels, _ = leaning(0.0, rng)
-    pixels[:] = np.clip(rng.normal(12.0, 1.2, pixels.shape), 0, 255)
-    for _ in range(30):
-        pixels[rng.integers(10, ROWS - 10), rng.integers(10, COLUMNS - 10)] = 200
-    peaks = Steger().extract(Frame(pixels))
-    assert len(peaks) <= 3  # two that happen to be neighbours are a short stripe
-
-
 def test_a_region_and_a_threshold_do_as_told(rng: np.random.Generator) -> None:
     pixels, _ = leaning(0.5, rng)
     whole = Steger().extract(Frame(pixels))
@@ -74,16 +55,6 @@ def test_a_region_and_a_threshold_do_as_told(rng: np.random.Generator) -> None:
     same = (whole.row >= 55) & (whole.row < 105) & (np.abs(whole.x_px - 125) < 55)
     assert np.abs(part.x_px[shown] - whole.x_px[same]).max() < 1e-6
     assert len(Steger(StegerOptions(threshold=200.0)).extract(Frame(pixels))) == 0
-
-
-def test_saturated_stripes_are_flagged_and_centred(rng: np.random.Generator) -> None:
-    pixels, x_px = leaning(0.0, rng)
-    bright = np.clip(12.0 + 6.0 * (pixels.astype(float) - 12.0), 0, 255).astype(np.uint8)
-    peaks = Steger().extract(Frame(bright))
-    here = inside(peaks)
-    assert (peaks.flags[here] & SATURATED).all()
-    off = np.abs(peaks.x_px[:, None] - x_px[:, peaks.row].T).min(1)
-    assert off[here].max() < 0.1
 
 
 @pytest.mark.parametrize("lean", [-0.6, 0.15, 0.9])

@@ -1,4 +1,4 @@
-"""Stripes measured side by side against each of them alone; their width and background, in 8 and 16 bit."""
+"""Stripes measured side by side against each of them alone; their width and background."""
 
 import numpy as np
 import pytest
@@ -30,8 +30,9 @@ def stripes_of(kind, rng):
     return image, stripes_around(image, tops, area, **limits), white
 
 
-@pytest.mark.parametrize(("contrast", "each"), [(0.0, False), (0.15, False), (0.15, True)])
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+@pytest.mark.parametrize(
+    ("kind", "contrast", "each"), [(np.uint8, 0.0, False), (np.uint16, 0.15, False), (np.uint8, 0.15, True)]
+)
 @pytest.mark.parametrize(
     ("centres", "settings"),
     [(gaussian_centres, ()), (log_parabola_centres, (3,)), (log_parabola_centres, (5,))],
@@ -47,7 +48,7 @@ def test_a_stripe_is_measured_the_same_whatever_stands_beside_it(
     contrast2 = contrast**2 * rng.uniform(0.2, 2.0, count) if each else np.array([contrast**2])
     x_px, x_std_px = np.empty((2, count))
     centres(levels, columns, together, white, noise, contrast2, x_px, x_std_px, *settings)
-    for i in range(0, count, 7):
+    for i in range(0, count, 13):
         one = Stripes(*(values[i : i + 1] for values in together))
         alone = np.empty((2, 1))
         own = contrast2[i : i + 1] if each else contrast2
@@ -77,24 +78,6 @@ def around(image, threshold=25, **limits):
     plain = plain_layout(image)
     limits = {"white": int(np.iinfo(image.dtype).max), "width_min_px": 0.0, "width_max_px": 1000.0} | limits
     return stripes_around(plain, stripe_tops(plain, threshold, area), area, **limits)
-
-
-def drawn(rng, rows, columns, pitch, noise):
-    x = np.arange(columns)
-    level = np.full((rows, columns), 20.0)
-    for at in np.arange(pitch / 2, columns, pitch):
-        centre = at + rng.uniform(-2.0, 2.0, (rows, 1))
-        height, sigma = rng.uniform(60.0, 260.0, (rows, 1)), rng.uniform(1.0, 4.0, (rows, 1))
-        level += height * np.exp(-0.5 * ((x - centre) / sigma) ** 2)
-    return np.clip(np.rint(level + rng.normal(0.0, noise, level.shape)), 0, 255).astype(np.uint8)
-
-
-@pytest.mark.parametrize(("pitch", "noise"), [(40.0, 0.0), (57.3, 0.0), (31.0, 1.5)])
-def test_the_same_grey_levels_in_8_and_16_bit_give_the_same_stripes(pitch, noise, rng):
-    image = drawn(rng, 301, 320, pitch, noise)
-    narrow, wide = around(image), around(image.astype(np.uint16), white=255)
-    for name in narrow._fields:
-        np.testing.assert_array_equal(getattr(narrow, name), getattr(wide, name), err_msg=name)
 
 
 def test_a_wide_stripe_is_measured():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -60,13 +61,9 @@ def plain(board: Board, rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
 
 
 def lit(
-    image: np.ndarray,
-    lean: float,
-    rotation: np.ndarray | None,
-    shift: np.ndarray | None,
-    stripes: range,
+    image: np.ndarray, lean: float, rotation: np.ndarray | None, shift: np.ndarray | None, stripes: range,
     count: int = STRIPES,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """The image with stripes on the board (on the belt where there is none) added."""
     found = image.copy()
     normal = np.array([0.0, 0.0, 1.0]) if rotation is None else rotation[:, 2]
@@ -102,7 +99,7 @@ def written(
     save(folder / "belt.png", lit(np.full(SIZE, 10.0), lean, None, None, all_, count), rng)
     for number in range(poses):
         rotation, shift = pose(number)
-        image = 0.5 * plain(board, rotation, shift)
+        image = _posed(board, number)
         save(folder / f"off_{number}.png", image, rng)
         falls = (stripes or {}).get(number, all_)
         save(folder / f"on_{number}.png", lit(image, lean, rotation, shift, falls, count), rng)
@@ -119,6 +116,11 @@ def written(
     path = folder / "rig.yaml"
     path.write_text(dump(data), encoding="utf-8")
     return path
+
+
+@cache
+def _posed(board: Board, number: int) -> np.ndarray:
+    return 0.5 * plain(board, *pose(number))
 
 
 def save(path: Path, image: np.ndarray, rng: np.random.Generator) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from roemetry.records import CalibrationSet, Frame, Observation, Peaks, SpherePlate
 from roemetry.records.view import View
 from roemetry_pinhole.geometry import ON_BELT, Geometry, StripePoints, stripe_residuals, turned
-from roemetry_pinhole.pinhole_plane import belt_pose
+from roemetry_pinhole.pinhole_plane import belt_pose, lines_at_height, parameters_of
 from roemetry_pinhole.plates import centres
 from roemetry_pinhole.solids import Shape, inside
 from roemetry_pinhole.verdict import lifted
@@ -32,15 +32,9 @@ def crossings(geometry: Geometry, shape: Shape | None, size: tuple[int, int]) ->
     for face in faces:
         plane = np.array([0.0, 0.0, 1.0, 0.0]) if face is None else face.plane
         pose = np.full(stripe.size, ON_BELT if face is None else 0)
-        points = StripePoints(
-            pose,
-            stripe,
-            np.full(stripe.size, 0.5 * size[1]),
-            row.astype(float),
-            np.ones(stripe.size),
-            np.zeros(stripe.size),
-            np.tile(plane, (stripe.size, 1)),
-        )
+        middle, ones = np.full(stripe.size, 0.5 * size[1]), np.ones(stripe.size)
+        planes = np.tile(plane, (stripe.size, 1))
+        points = StripePoints(pose, stripe, middle, row.astype(float), ones, 0.0 * ones, planes)
         for _ in range(12):
             points = replace(points, x_px=points.x_px - stripe_residuals(geometry, points))
         at = lifted(geometry, points)
@@ -63,17 +57,9 @@ def seen_as(
     row, column = np.nonzero(np.isfinite(x))
     at = x[row, column] + rng.normal(0.0, noise_px, row.size)
     again = np.lexsort((at, row))
-    full = np.ones(row.size)
-    peaks = Peaks(
-        image_size=size,
-        row=row[again],
-        x_px=at[again],
-        x_std_px=noise_px * full,
-        amplitude=100.0 * full,
-        background=0.0 * full,
-        width_px=4.0 * full,
-        flags=np.zeros(row.size, np.uint8),
-    )
+    full, none = np.ones(row.size), np.zeros(row.size, np.uint8)
+    row, at = row[again], at[again]
+    peaks = Peaks(size, row, at, noise_px * full, 100.0 * full, 0.0 * full, 4.0 * full, none)
     return Observation(shows, Frame(np.zeros(size, np.uint8), name=shows), peaks)
 
 
@@ -118,6 +104,20 @@ def over_balls(view: View, plate: SpherePlate, pose: np.ndarray, x_px: np.ndarra
             seen[stripe, rows] = np.interp(rows, xy[:, 1], xy[:, 0])
     seen[(seen < 1.0) | (seen > view.image_size[1] - 2.0)] = np.nan
     return seen
+
+
+def height_errors(true: Geometry, views: list[View], levels, size: tuple[int, int]):
+    """Heights, mm, of exact stripes on levels by the first view less the true ones; the others' scatter."""
+    rows = np.linspace(0.1, 0.9, 5) * (size[0] - 1)
+    off, std = [], []
+    for level in levels:
+        x_px = lines_at_height(parameters_of(true, travel=False), rows, level)
+        stripe, row = np.nonzero((x_px > 0) & (x_px < size[1] - 1))
+        at = np.column_stack([x_px[stripe, row], rows[row]])
+        z = np.array([view.lift(at, stripe)[:, 2] for view in views])
+        off.append(z[0] - level)
+        std.append(z[1:].std(axis=0))
+    return np.concatenate(off), np.concatenate(std)
 
 
 def assert_derivatives(

@@ -138,30 +138,3 @@ def test_one_stripe_and_an_empty_belt_do_not_tell_the_belt(rng) -> None:
         adjusted(replace(exact, feet=nobody))
     assert (exact.points.pose != ON_BELT).all()
     assert np.isfinite(adjusted(noisy(exact, rng, 0.05, 0.1, 0.02)).covariance).all()
-
-
-def test_a_moving_belt_gives_its_travel(rng) -> None:
-    exact = shown(RIG, rng)
-    way = np.array([0.02, 0.1, 0.0])
-    geometry = exact.geometry
-    up = -geometry.belt / np.linalg.norm(geometry.belt)
-    way = way - (way @ up) * up
-    carried = replace(
-        exact.corners,
-        pose=np.zeros(exact.corners.pose.size, np.int64),
-        board_mm=np.tile(exact.corners.board_mm[exact.corners.pose == 0], (40, 1))[: exact.corners.pose.size],
-        counts=np.repeat(np.arange(40.0), (exact.corners.pose == 0).sum())[: exact.corners.pose.size],
-    )
-    moving = replace(geometry, travel=way)
-    every = unknowns(moving, travel=True)
-    xy = corner_rows(moving, every, replace(carried, xy_px=np.zeros_like(carried.xy_px))).residual
-    both = {
-        name: np.concatenate(
-            [getattr(exact.corners, name), getattr(replace(carried, xy_px=xy.reshape(-1, 2)), name)]
-        )
-        for name in ("pose", "board_mm", "xy_px", "counts", "board")
-    }
-    corners = type(exact.corners)(**both)
-    start = replace(moving, travel=np.zeros(3))
-    found = adjust(start, every, corners, exact.points, exact.feet, foot_std_mm=0.03)
-    assert np.abs(found.geometry.travel - way).max() < 1e-5, "mm per count"

@@ -27,7 +27,7 @@ from tests.plugins.pinhole.board_set import (
     pose,
     save,
     written,
-)
+)  # fmt: skip
 
 
 def made(path: Path) -> Calibration:

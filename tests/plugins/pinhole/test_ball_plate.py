@@ -19,7 +19,14 @@ from roemetry_pinhole.geometry import CAMERA, Feet, Geometry, StripePoints, unkn
 from roemetry_pinhole.pinhole_plane import lines_at_height, parameters_of, view_of
 from roemetry_pinhole.plates import find_plate, from_plate
 from roemetry_pinhole.solids import shape_of
-from tests.plugins.pinhole.solids_seen import crossings, on_belt, over_balls, seen_as, set_of
+from tests.plugins.pinhole.solids_seen import (
+    crossings,
+    height_errors,
+    on_belt,
+    over_balls,
+    seen_as,
+    set_of,
+)  # fmt: skip
 from tests.plugins.pinhole.test_solids import RIGS, SIZE, STRIPES, solid, wide
 
 
@@ -59,19 +66,13 @@ def test_an_empty_belt_and_a_block_are_no_sphere_plate(rng) -> None:
 
 def boards_of(exact: Shown) -> Measured:
     """Boards with the laser off, the first one lying on the belt; the camera is known."""
-    none, whole = np.empty(0), np.empty(0, np.int64)
+    none, whole, first = np.empty(0), np.empty(0, np.int64), np.zeros(3, np.int64)
     start = replace(exact.geometry, planes=np.empty((0, 3)), belt=np.full(3, np.nan))
     far = exact.corners.board_mm.max(axis=0)
     under = far * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 1.0, 0.0]])
     unknowns = unknowns_of(start, free_camera=np.zeros(CAMERA, bool), planes=False, belt=False, travel=False)
-    return Measured(
-        start,
-        unknowns,
-        exact.corners,
-        StripePoints(whole, whole, none, none, none, none),
-        Feet(np.zeros(3, np.int64), under, np.zeros(3)),
-        0.01,
-    )
+    points, feet = StripePoints(whole, whole, none, none, none, none), Feet(first, under, np.zeros(3))
+    return Measured(start, unknowns, exact.corners, points, feet, 0.01)
 
 
 def plates_on(geometry: Geometry, plate: SpherePlate, width: float, places, rng) -> CalibrationSet:
@@ -84,22 +85,14 @@ def plates_on(geometry: Geometry, plate: SpherePlate, width: float, places, rng)
     return set_of(seen, STRIPES, sphere_plate=plate)
 
 
-def height_errors(adjusted: Adjusted, true: Geometry, levels) -> tuple[np.ndarray, np.ndarray]:
+def errors_of(adjusted: Adjusted, true: Geometry, levels) -> tuple[np.ndarray, np.ndarray]:
     """Heights of exact stripes on levels less the true ones, and what the covariance states, mm."""
-    rows = np.linspace(0.1, 0.9, 5) * (SIZE[0] - 1)
     factor = np.linalg.cholesky(adjusted.covariance + 1e-24 * np.eye(len(adjusted.covariance)))
     drawn = np.random.default_rng(5).normal(size=(60, len(factor))) @ factor.T
     geometries = [adjusted.geometry, *(adjusted.unknowns.moved(adjusted.geometry, one) for one in drawn)]
-    views = [view_of(parameters_of(one, travel=False), SIZE) for one in geometries]
-    off, std = [], []
-    for level in levels:
-        x_px = lines_at_height(parameters_of(true, travel=False), rows, level)
-        stripe, row = np.nonzero((x_px > 0) & (x_px < SIZE[1] - 1))
-        at = np.column_stack([x_px[stripe, row], rows[row]])
-        z = np.array([view.lift(at, stripe)[:, 2] for view in views])
-        off.append(z[0] - level)
-        std.append(z[1:].std(axis=0))
-    return np.concatenate(off), np.concatenate(std)
+    return height_errors(
+        true, [view_of(parameters_of(one, travel=False), SIZE) for one in geometries], levels, SIZE
+    )
 
 
 @pytest.mark.parametrize("name", ["tilted", pytest.param("gentle", marks=pytest.mark.thorough)])
@@ -110,7 +103,7 @@ def test_planes_from_a_sphere_plate_measure_heights(name: str, rng) -> None:
     observed = plates_on(exact.geometry, plate, width, (-0.2, -0.1, 0.0, 0.1, 0.2), rng)
     boards = boards_of(exact)
     found = from_plate(observed, plate, boards, np.zeros(CAMERA, bool), exact.geometry.belt)
-    off, std = height_errors(found.adjusted, exact.geometry, np.array([0.0, 0.06, 0.12, 0.2]) * width)
+    off, std = errors_of(found.adjusted, exact.geometry, np.array([0.0, 0.06, 0.12, 0.2]) * width)
     assert np.abs(off).max() < 0.03, "mm"
     assert np.median(std) < 0.01, "mm"
     assert np.sqrt(np.mean((off / std) ** 2)) < 1.8, "the stated uncertainty holds"
@@ -168,6 +161,6 @@ def test_a_scan_through_one_stripe_gives_its_plane(name: str, kind: str, rng) ->
         seen.append(seen_as(kind, crossings(lying, shape_of(known), SIZE), SIZE, rng, 0.1))
     observed = set_of(seen, 1, **{kind: known})
     found = from_solids(observed, boards_of(exact), np.zeros(CAMERA, bool), true.belt)
-    off, std = height_errors(found.adjusted, true, np.array([0.0, 0.06, 0.12]) * width)
+    off, std = errors_of(found.adjusted, true, np.array([0.0, 0.06, 0.12]) * width)
     assert np.abs(off).max() < 0.02, "mm"
     assert np.sqrt(np.mean((off / std) ** 2)) < 2.0, "the stated uncertainty holds"

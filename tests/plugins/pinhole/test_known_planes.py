@@ -12,26 +12,12 @@ from typer.testing import CliRunner
 
 from roemetry.cli.main import app
 from roemetry.errors import CalibrationError, ConfigurationError, DataError
-from roemetry.records import CalibrationSet
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import write_camera
 from roemetry.testing import LinearRig
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
-from roemetry_pinhole.conformance import observed_of
 from roemetry_pinhole.known_files import read_camera, read_planes
 from roemetry_pinhole.pinhole_plane import camera_of, lines_at_height, view_of
-
-
-@pytest.fixture(scope="module")
-def made() -> Calibration:
-    return PinholeCalibrator().calibrate(observed_of(LinearRig()))
-
-
-@pytest.fixture(scope="module")
-def belt() -> CalibrationSet:
-    observed = observed_of(LinearRig())
-    only = tuple(one for one in observed.observations if one.shows == "belt")
-    return replace(observed, observations=only, board=None)
 
 
 def write_planes(path: Path, planes: np.ndarray) -> None:
@@ -40,23 +26,25 @@ def write_planes(path: Path, planes: np.ndarray) -> None:
     storage.release()
 
 
-def files(made: Calibration, folder: Path, *, sign: float = 1.0) -> dict[str, object]:
+def files(calibrated: Calibration, folder: Path, *, sign: float = 1.0) -> dict[str, object]:
     """The camera, and planes with D = −sign, written by OpenCV itself."""
     camera, planes = folder / "camera.yaml", folder / "planes.yaml"
-    assert made.view is not None
-    write_camera(camera, made.view)
-    p = made.parameters["planes_per_mm"]
+    assert calibrated.view is not None
+    write_camera(camera, calibrated.view)
+    p = calibrated.parameters["planes_per_mm"]
     size = np.linalg.norm(p, axis=1)[:, None]
     write_planes(planes, np.column_stack([p / size, -sign / size]))
     return {"camera": camera, "planes": planes, "height_max_mm": 20.0}
 
 
 @pytest.mark.parametrize(("sign", "form"), [(1.0, "Ax+By+Cz+D=0"), (-1.0, "Ax+By+Cz-D=0")])
-def test_the_belt_is_found_in_either_form(made, belt, tmp_path: Path, sign: float, form: str) -> None:
-    options = PinholeCalibratorOptions(**files(made, tmp_path, sign=sign), planes_form=form)
+def test_the_belt_is_found_in_either_form(calibrated, belt, tmp_path: Path, sign: float, form: str) -> None:
+    options = PinholeCalibratorOptions(**files(calibrated, tmp_path, sign=sign), planes_form=form)
     found = PinholeCalibrator(options).calibrate(belt)
-    assert found.parameters["planes_per_mm"] == pytest.approx(made.parameters["planes_per_mm"], rel=1e-9)
-    away = [1.0 / np.linalg.norm(one.parameters["belt_per_mm"]) for one in (found, made)]
+    assert found.parameters["planes_per_mm"] == pytest.approx(
+        calibrated.parameters["planes_per_mm"], rel=1e-9
+    )
+    away = [1.0 / np.linalg.norm(one.parameters["belt_per_mm"]) for one in (found, calibrated)]
     assert away[0] == pytest.approx(away[1], rel=2e-3)
     assert found.height_range_mm == (0.0, 20.0)
     assert any("taken as exact" in note for note in found.notes)
@@ -65,10 +53,10 @@ def test_the_belt_is_found_in_either_form(made, belt, tmp_path: Path, sign: floa
     assert (np.diag(found.covariance)[-3:] > 0).all()
 
 
-def test_what_the_planes_are_uncertain_by_is_in_the_heights(made, belt, tmp_path: Path, rng) -> None:
+def test_what_the_planes_are_uncertain_by_is_in_the_heights(calibrated, belt, tmp_path: Path, rng) -> None:
     """Each plane leaned or moved by its standard uncertainty, in a file; squares of heights' changes."""
     angle_deg, offset_mm = 0.004, 0.003
-    given = files(made, tmp_path)
+    given = files(calibrated, tmp_path)
     options = {**given, "planes_angle_std_deg": angle_deg, "planes_offset_std_mm": offset_mm}
     stated = PinholeCalibrator(PinholeCalibratorOptions(**options)).calibrate(belt)
     assert any("each uncertain by 0.003 mm" in note for note in stated.notes)
@@ -82,10 +70,10 @@ def test_what_the_planes_are_uncertain_by_is_in_the_heights(made, belt, tmp_path
         return view_of(one.parameters, one.image_size).lift(places, stripe)[:, 2]
 
     squares = np.zeros(stripe.size)
-    true = made.parameters["planes_per_mm"]
-    middle = lines_at_height(made.parameters, np.array([99.5]), 0.0)[:, 0]
+    true = calibrated.parameters["planes_per_mm"]
+    middle = lines_at_height(calibrated.parameters, np.array([99.5]), 0.0)[:, 0]
     for moved in range(len(true)):
-        place = in_camera(made, middle[moved], 99.5)
+        place = in_camera(calibrated, middle[moved], 99.5)
         place -= (true[moved] @ place - 1.0) / (true[moved] @ true[moved]) * true[moved]
         normal = true[moved] / np.linalg.norm(true[moved])
         ways = np.linalg.svd(normal[None])[2][1:]
@@ -103,11 +91,11 @@ def test_what_the_planes_are_uncertain_by_is_in_the_heights(made, belt, tmp_path
     assert std / np.sqrt(squares) == pytest.approx(1.0, abs=0.2)
 
 
-def in_camera(made: Calibration, x_px: float, row_px: float) -> np.ndarray:
+def in_camera(calibrated: Calibration, x_px: float, row_px: float) -> np.ndarray:
     """Where a place on the belt is, camera frame, mm."""
     ray = np.array([x_px, row_px, 1.0])
-    ray[:2] = (ray[:2] - made.parameters["principal_px"]) / made.parameters["focal_px"]
-    return ray / (ray @ made.parameters["belt_per_mm"])
+    ray[:2] = (ray[:2] - calibrated.parameters["principal_px"]) / calibrated.parameters["focal_px"]
+    return ray / (ray @ calibrated.parameters["belt_per_mm"])
 
 
 @pytest.mark.parametrize(
@@ -118,53 +106,50 @@ def in_camera(made: Calibration, x_px: float, row_px: float) -> np.ndarray:
         ({"height_max_mm": None}, "up to which height"),
     ],
 )
-def test_what_cannot_be_is_refused(made, belt, tmp_path: Path, change: dict[str, object], says: str) -> None:
-    options = PinholeCalibratorOptions(**(files(made, tmp_path) | change))
+def test_what_cannot_be_is_refused(
+    calibrated, belt, tmp_path: Path, change: dict[str, object], says: str
+) -> None:
+    options = PinholeCalibratorOptions(**(files(calibrated, tmp_path) | change))
     with pytest.raises(CalibrationError, match=says) as caught:
         PinholeCalibrator(options).calibrate(belt)
     assert caught.value.hint
 
 
-def test_another_number_of_planes_and_no_belt(made, belt, tmp_path: Path) -> None:
-    method = PinholeCalibrator(PinholeCalibratorOptions(**files(made, tmp_path)))
+def test_another_number_of_planes_and_no_belt(calibrated, belt, boards, tmp_path: Path) -> None:
+    method = PinholeCalibrator(PinholeCalibratorOptions(**files(calibrated, tmp_path)))
     with pytest.raises(CalibrationError, match="planes holds"):
         method.calibrate(replace(belt, stripe_count=belt.stripe_count + 1))
-    observed = observed_of(LinearRig())
-    boards = tuple(one for one in observed.observations if one.shows != "belt")
     with pytest.raises(CalibrationError, match="where the belt is"):
-        method.calibrate(replace(observed, observations=boards))
-
-
-def test_a_plane_through_the_camera_is_told_with_its_file(tmp_path: Path) -> None:
-    path = tmp_path / "planes.yaml"
+        method.calibrate(boards)
+    path = tmp_path / "through.yaml"
     write_planes(path, np.array([[1.0, 0.0, 0.2, 0.0]]))
-    with pytest.raises(DataError, match=r"planes\.yaml: the plane goes through"):
+    with pytest.raises(DataError, match=r"through\.yaml: the plane goes through"):
         read_planes(path)
 
 
-def test_the_command_line_writes_what_is_read_back(made, belt, tmp_path: Path) -> None:
+def test_the_command_line_writes_what_is_read_back(calibrated, belt, tmp_path: Path) -> None:
     """From a calibration file to OpenCV's and back: the same camera, the same planes."""
-    made.save(tmp_path / "line.yaml")
+    calibrated.save(tmp_path / "line.yaml")
     done = CliRunner().invoke(app, ["export", str(tmp_path / "line.yaml"), "opencv"])
     assert done.exit_code == 0, done.output
     written = tmp_path / "line-opencv.yaml"
     assert str(written) in done.output
-    assert read_camera(written) == pytest.approx(camera_of(made.parameters), rel=1e-12)
-    assert read_planes(written) == pytest.approx(made.parameters["planes_per_mm"], rel=1e-9)
+    assert read_camera(written) == pytest.approx(camera_of(calibrated.parameters), rel=1e-12)
+    assert read_planes(written) == pytest.approx(calibrated.parameters["planes_per_mm"], rel=1e-9)
     options = PinholeCalibratorOptions(camera=written, planes=written, height_max_mm=20.0)
     again = PinholeCalibrator(options).calibrate(belt).parameters["planes_per_mm"]
-    assert again == pytest.approx(made.parameters["planes_per_mm"], rel=1e-9)
+    assert again == pytest.approx(calibrated.parameters["planes_per_mm"], rel=1e-9)
     xml = CliRunner().invoke(
         app, ["export", str(tmp_path / "line.yaml"), "opencv", "-o", str(tmp_path / "c.xml")]
     )
     assert xml.exit_code == 0
-    assert read_camera(tmp_path / "c.xml") == pytest.approx(camera_of(made.parameters), rel=1e-12)
+    assert read_camera(tmp_path / "c.xml") == pytest.approx(camera_of(calibrated.parameters), rel=1e-12)
 
 
-def test_what_cannot_be_written_is_told(made, tmp_path: Path) -> None:
-    made.save(tmp_path / "line.yaml")
+def test_what_cannot_be_written_is_told(calibrated, tmp_path: Path) -> None:
+    calibrated.save(tmp_path / "line.yaml")
     LinearRig().calibration().save(tmp_path / "block.yaml")
-    replace(made, view=replace(made.view, exact=False)).save(tmp_path / "rough.yaml")
+    replace(calibrated, view=replace(calibrated.view, exact=False)).save(tmp_path / "rough.yaml")
     for words, kind, says in (
         (["line.yaml", "parquet"], ConfigurationError, "only `opencv` can be written, not `parquet`"),
         (["block.yaml", "opencv"], CalibrationError, "knows no camera"),

@@ -73,9 +73,9 @@ def test_the_turntable_is_measured_by_a_recipe(tmp_path: Path) -> None:
     }
     (tmp_path / "rig.yaml").write_text(dump(TURNTABLE | {"images": images}), encoding="utf-8")
     calibrate(Rig.load(tmp_path / "rig.yaml")).save(tmp_path / "calibration.yaml")
-    recipe = RECIPE.replace("path: scan", f"path: {TURNTABLE_SET}/scan/*.jpg, contrast: green")
+    recipe = RECIPE.replace("path: scan", f"path: {TURNTABLE_SET}/scan/*4.jpg, contrast: green")
     recipe = recipe.replace("centre-of-gravity", "maximum-likelihood")
     (tmp_path / "recipe.yaml").write_text(recipe, encoding="utf-8")
     rows = list(Recipe.load(tmp_path / "recipe.yaml").run())
-    assert len(rows) == 23
+    assert len(rows) == 5
     assert {row.status for row in rows} == {"measured"}

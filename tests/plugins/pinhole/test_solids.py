@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from roemetry_pinhole.solids import inside, shape_of
 from tests.plugins.pinhole.solids_seen import (
     assert_derivatives,
     crossings,
+    height_errors,
     on_belt,
     seen_as,
     set_of,
@@ -74,25 +76,6 @@ def calibrator(geometry: Geometry, folder: Path) -> PinholeCalibrator:
     return PinholeCalibrator(PinholeCalibratorOptions(camera=path))
 
 
-def height_errors(calibration, geometry: Geometry, heights) -> tuple[np.ndarray, np.ndarray]:
-    """Heights, by a calibration, of exact stripes on levels, less the true ones, and what it states, mm."""
-    parameters = parameters_of(geometry, travel=False)
-    rows = np.linspace(0.1, 0.9, 5) * (SIZE[0] - 1)
-    drawn = [one for _, one in zip(range(60), calibration.redraws(np.random.default_rng(1)), strict=False)]
-    off, std = [], []
-    for height in heights:
-        x = lines_at_height(parameters, rows, height)
-        stripe, row = np.nonzero((x > 0) & (x < SIZE[1] - 1))
-        at = np.column_stack([x[stripe, row], rows[row]])
-
-        def measured(one, at=at, stripe=stripe):
-            return view_of(one.parameters, SIZE).lift(at, stripe)[:, 2]
-
-        off.append(measured(calibration) - height)
-        std.append(np.std([measured(one) for one in drawn], axis=0))
-    return np.concatenate(off), np.concatenate(std)
-
-
 @pytest.mark.parametrize(
     ("rig", "kind", "bare"),
     [
@@ -113,7 +96,9 @@ def test_planes_from_a_solid_measure_heights(rig: str, kind: str, bare: bool, rn
     if bare:
         seen.append(seen_as("belt", crossings(geometry, None, SIZE), SIZE, rng, NOISE_PX))
     found = calibrator(geometry, tmp_path).calibrate(set_of(seen, STRIPES, **{kind: known}))
-    off, std = height_errors(found, geometry, np.array([0.0, 0.06, 0.12]) * width)
+    drawn = islice(found.redraws(np.random.default_rng(1)), 60)
+    views = [view_of(one.parameters, SIZE) for one in (found, *drawn)]
+    off, std = height_errors(geometry, views, np.array([0.0, 0.06, 0.12]) * width, SIZE)
     assert np.sqrt(np.mean((off / std) ** 2)) < 1.6, "the stated uncertainty holds"
     assert np.median(std) < 0.03, "mm"
     assert np.abs(off[std < 0.02]).max() < 0.05, "mm"

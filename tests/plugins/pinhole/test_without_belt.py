@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from roemetry.cli.main import app
 from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet
 from roemetry.records.calibration import ON_BELT, ON_BOARD, Calibration
 from roemetry.testing import LinearRig
 from roemetry_pinhole.boards import find_marks, plain_is_under
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
-from roemetry_pinhole.conformance import observed_of
 from roemetry_pinhole.known_files import read_camera
 from roemetry_pinhole.pinhole_plane import camera_of, points_of
-
-
-@pytest.fixture(scope="module")
-def boards() -> CalibrationSet:
-    whole = observed_of(LinearRig())
-    return replace(whole, observations=tuple(one for one in whole.observations if one.shows != "belt"))
 
 
 @pytest.fixture(scope="module")
@@ -42,15 +35,15 @@ def test_without_belt_and_reference_it_is_refused(boards: CalibrationSet) -> Non
         PinholeCalibrator(PinholeCalibratorOptions(reference_pose="99")).calibrate(boards)
 
 
-def test_heights_count_from_the_named_board(from_pose: Calibration) -> None:
+def test_heights_count_from_the_named_board(from_pose: Calibration, calibrated: Calibration) -> None:
     assert from_pose.reference == ON_BOARD
-    with_belt = PinholeCalibrator().calibrate(observed_of(LinearRig()))
-    assert with_belt.reference == ON_BELT
+    assert calibrated.reference == ON_BELT
+    assert "reference" not in calibrated.to_dict()
     # the first pose lies level, 6 mm above the belt: the same points are 6 mm lower from there
     stripe, row = np.repeat(np.arange(7), 3), np.tile([40.0, 100.0, 160.0], 7)
     x_px = LinearRig().rest_px()[stripe, row.astype(int)] + 20.0
     low = points_of(from_pose.parameters, stripe, x_px, row)[:, 2]
-    high = points_of(with_belt.parameters, stripe, x_px, row)[:, 2]
+    high = points_of(calibrated.parameters, stripe, x_px, row)[:, 2]
     assert high - low == pytest.approx(6.0, abs=0.1)
 
 
@@ -84,16 +77,11 @@ def test_heights_count_along_gravity_from_the_board_s_middle(
         with_gravity(10.0, sign=-1.0)
 
 
-def test_its_file_says_so_and_others_stay_as_they_are(from_pose: Calibration, tmp_path: Path) -> None:
-    from_pose.save(tmp_path / "c.yaml")
-    assert Calibration.load(tmp_path / "c.yaml").reference == ON_BOARD
-    assert "reference" not in LinearRig().calibration().to_dict()
-
-
 def test_the_camera_of_a_calibration_is_known_to_another(
     from_pose: Calibration, boards: CalibrationSet, tmp_path: Path
 ) -> None:
     from_pose.save(tmp_path / "first.yaml")
+    assert Calibration.load(tmp_path / "first.yaml").reference == ON_BOARD
     assert read_camera(tmp_path / "first.yaml") == pytest.approx(camera_of(from_pose.parameters))
     options = PinholeCalibratorOptions(reference_pose="pose 0", camera=tmp_path / "first.yaml")
     again = PinholeCalibrator(options).calibrate(boards)
@@ -121,16 +109,9 @@ def test_a_camera_whose_focus_drifts_is_less_certain(boards: CalibrationSet) -> 
         for number, one in enumerate(plain):
             rows, columns = one.frame.size
             scale = 1.0 + step * (number - 7.5)
-            move = np.array(
-                [[scale, 0.0, (1 - scale) * (columns - 1) / 2], [0.0, scale, (1 - scale) * (rows - 1) / 2]]
-            )
-            pixels = cv2.warpAffine(
-                one.frame.pixels,
-                move,
-                (columns, rows),
-                flags=cv2.INTER_CUBIC,
-                borderMode=cv2.BORDER_REPLICATE,
-            )
+            move = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), 0.0, scale)
+            how = {"flags": cv2.INTER_CUBIC, "borderMode": cv2.BORDER_REPLICATE}
+            pixels = cv2.warpAffine(one.frame.pixels, move, (columns, rows), **how)
             drifting.append(replace(one, frame=replace(one.frame, pixels=pixels)))
         found = PinholeCalibrator(PinholeCalibratorOptions(lens="none")).camera(
             replace(boards, observations=tuple(drifting))
@@ -163,9 +144,8 @@ def test_a_board_that_moved_by_a_pixel_darkens_some_of_its_edges(
     assert not plain_is_under(replace(plain, pixels=np.roll(plain.pixels, way, (0, 1))), laser, marks)
 
 
-def test_camera_only_writes_a_file_of_opencvs(tmp_path: Path) -> None:
-    boards = observed_of(LinearRig()).observations
-    for number, one in enumerate(o for o in boards if o.frame.role == "plain"):
+def test_camera_only_writes_a_file_of_opencvs(boards: CalibrationSet, tmp_path: Path) -> None:
+    for number, one in enumerate(o for o in boards.observations if o.frame.role == "plain"):
         cv2.imwrite(str(tmp_path / f"board_{number}.png"), one.frame.pixels)
     (tmp_path / "rig.yaml").write_text(
         "roemetry_rig: 1\nname: no laser at all\nimages: {board: ['board_*.png']}\n"
@@ -173,8 +153,7 @@ def test_camera_only_writes_a_file_of_opencvs(tmp_path: Path) -> None:
         "calibrator: {use: pinhole-plane, options: {lens: none}}\n",
         "utf-8",
     )
-    words = [sys.executable, "-m", "roemetry", "calibrate", str(tmp_path / "rig.yaml"), "--camera-only"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "camera from 8 images" in done.stdout
+    done = CliRunner().invoke(app, ["calibrate", str(tmp_path / "rig.yaml"), "--camera-only"])
+    assert done.exit_code == 0, done.output
+    assert "camera from 8 images" in done.output
     assert read_camera(tmp_path / "camera.yaml")[:2] == pytest.approx(1200.0, rel=0.005)

@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 
 from roemetry.errors import CalibrationError, StageError
-from roemetry.records import Profiles, ScanFigures, SpherePlate
-from roemetry_scan.closed import Registration, ball_centres, closed_volume, registered
+from roemetry.records import Profiles, ScanFigures
+from roemetry_scan.closed import Registration, closed_volume, registered
 from roemetry_scan.commands import register_heads, two_sides
 from roemetry_scan.formats import write
 from roemetry_scan.formats.points import Measured, profiles_of
 
 FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
+LIFTED = FLIPPED.copy()
+LIFTED[2, 3] = 20.0
 
 
 def seen(height: Callable[[np.ndarray, np.ndarray], np.ndarray], least_mm: float = 0.5) -> Profiles:
@@ -43,9 +45,7 @@ TRUE = 4.0 / 3.0 * np.pi * 24.0 * 16.0 * 10.0
 @pytest.mark.parametrize("least_mm", [10.01, 12.0])
 def test_what_neither_head_sees_of_an_ellipsoid_is_followed(least_mm: float) -> None:
     side = seen(ellipsoid, least_mm)
-    pose = FLIPPED.copy()
-    pose[2, 3] = 20.0
-    found = closed_volume(side, side, Registration(pose, 0.005, 9))
+    found = closed_volume(side, side, Registration(LIFTED, 0.005, 9))
     assert found.value == pytest.approx(TRUE, rel=0.01)
     assert found.interval[0] < TRUE < found.interval[1]
 
@@ -53,19 +53,12 @@ def test_what_neither_head_sees_of_an_ellipsoid_is_followed(least_mm: float) -> 
 def test_a_registration_that_is_off_is_in_the_budget_and_the_volume() -> None:
     side = seen(ellipsoid, 12.0)
     footprint = np.pi * 24.0 * 16.0
-    pose, raised = FLIPPED.copy(), FLIPPED.copy()
-    pose[2, 3], raised[2, 3] = 20.0, 20.1
-    lower = closed_volume(side, side, Registration(pose, 0.3, 11))
+    raised = LIFTED.copy()
+    raised[2, 3] = 20.1
+    lower = closed_volume(side, side, Registration(LIFTED, 0.3, 11))
     higher = closed_volume(side, side, Registration(raised, 0.3, 11))
     assert lower.value - higher.value == pytest.approx(0.1 * footprint, rel=0.15)
     assert higher.budget["registration"] == pytest.approx(0.1 * footprint, rel=0.15)
-
-
-def test_a_head_that_sees_nothing_closes_no_body() -> None:
-    side = seen(ellipsoid)
-    nothing = seen(lambda x, y: 0.0 * x)
-    with pytest.raises(StageError, match="one head only"):
-        closed_volume(side, nothing, Registration(FLIPPED, 0.01, 9))
 
 
 def begun_at(count: float, mm_per_count: float = 0.02) -> Profiles:
@@ -78,48 +71,43 @@ def begun_at(count: float, mm_per_count: float = 0.02) -> Profiles:
 
 @pytest.mark.parametrize(("upper", "lower"), [(100.0, 500.0), (760.0, 130.0), (4000.0, 4000.0)])
 def test_heads_that_begin_at_other_counts_are_placed_by_them(upper: float, lower: float) -> None:
-    pose = FLIPPED.copy()
-    pose[2, 3] = 20.0
+    pose = LIFTED.copy()
     pose[0, 3] = 0.02 * (40.0 - 70.0)  # the plate's scans began at 40 and at 70
     told = Registration(pose, 0.005, 9, (40.0, 70.0))
     found = closed_volume(begun_at(upper), begun_at(lower), told)
     assert found.value == pytest.approx(TRUE, rel=0.01)
 
 
-def test_heads_of_which_a_first_count_is_not_known_are_refused() -> None:
-    pose = FLIPPED.copy()
-    pose[2, 3] = 20.0
-    counted, side = begun_at(100.0), seen(ellipsoid, 12.0)
-    with pytest.raises(StageError, match="not of the plate"):
-        closed_volume(counted, counted, Registration(pose, 0.005, 9))
-    with pytest.raises(StageError, match="the plate's scans only"):
-        closed_volume(side, side, Registration(pose, 0.005, 9, (0.0, 0.0)))
-    with pytest.raises(StageError, match="both have to be known"):
-        closed_volume(counted, side, Registration(pose, 0.005, 9, (0.0, 0.0)))
+def test_heads_that_cannot_be_put_together_are_refused() -> None:
+    """Nothing seen, the product's end alone seen, a first count that is not known."""
+    side, counted = seen(ellipsoid, 12.0), begun_at(100.0)
+    assert counted.scan is not None
+    begun = replace(counted, scan=replace(counted.scan, lines=61))  # its last line lies amid the product
+    for upper, lower, counts, says in (
+        (side, seen(lambda x, y: 0.0 * x), (), "one head only"),
+        (begun, counted, (100.0, 100.0), "begins or ends within"),
+        (counted, counted, (), "not of the plate"),
+        (side, side, (0.0, 0.0), "the plate's scans only"),
+        (counted, side, (0.0, 0.0), "both have to be known"),
+    ):
+        with pytest.raises(StageError, match=says):
+            closed_volume(upper, lower, Registration(LIFTED, 0.005, 9, *([counts] if counts else [])))
 
 
-PLATE = SpherePlate("plate", 3, 2, 18.0, 10.0, 5.0, 0.005)
 CENTRES = np.array([[18.0 * i - 18.0, 18.0 * j - 9.0, 5.0] for i in range(3) for j in range(2)])
 
 
-def test_centres_of_balls_are_found_in_slices() -> None:
-    def height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        away = np.min([(x - cx) ** 2 + (y - cy) ** 2 for cx, cy, _ in CENTRES], axis=0)
-        return np.where(away < 24.0, 5.0 + np.sqrt(np.maximum(25.0 - away, 0.0)), 0.0)
-
-    found = ball_centres(seen(height), PLATE)
-    order = np.lexsort((found[:, 1], found[:, 0]))
-    assert np.abs(found[order] - CENTRES).max() < 1e-3
-
-
-def test_heads_are_laid_on_one_another_by_their_balls(rng_seed: int = 3) -> None:
-    rng = np.random.default_rng(rng_seed)
+def test_heads_are_laid_on_one_another_by_their_balls(rng: np.random.Generator) -> None:
     plate = CENTRES + np.array([[0.7, -0.4, 0.0]]) * np.arange(6)[:, None] * 0.3  # no mirror image of itself
     lower = (plate - [3.0, 1.0, 20.0]) @ FLIPPED[:3, :3].T + 0.002 * rng.standard_normal((6, 3))
     found = registered(plate, lower)
     assert found.balls == 6
     carried = lower @ found.T_top_bottom[:3, :3].T + found.T_top_bottom[:3, 3]
     assert np.abs(carried - plate).max() < 0.01
+    with pytest.raises(CalibrationError, match="three"):
+        registered(CENTRES, CENTRES[:2])
+    with pytest.raises(CalibrationError, match="do not share"):
+        registered(CENTRES, CENTRES * [1.0, 1.6, 1.0] + [0.0, 0.0, 4.0])
 
 
 def head(folder: Path, name: str, height: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Path:
@@ -167,20 +155,3 @@ def test_the_shipped_potatoes_have_their_true_volumes(tmp_path: Path) -> None:
         cm3, _, low, high = (float(value) for value in line.split(",")[1:5])
         assert cm3 == pytest.approx(true, rel=5e-3)
         assert low < true < high
-
-
-def test_a_product_that_a_head_saw_the_end_of_only_has_no_true_volume() -> None:
-    side = begun_at(100.0)
-    assert side.scan is not None
-    begun = replace(side, scan=replace(side.scan, lines=61))  # its last one lies amid the product
-    pose = FLIPPED.copy()
-    pose[2, 3] = 20.0
-    with pytest.raises(StageError, match="begins or ends within"):
-        closed_volume(begun, side, Registration(pose, 0.005, 9, (100.0, 100.0)))
-
-
-def test_heads_without_a_common_plate_are_refused() -> None:
-    with pytest.raises(CalibrationError, match="three"):
-        registered(CENTRES, CENTRES[:2])
-    with pytest.raises(CalibrationError, match="do not share"):
-        registered(CENTRES, CENTRES * [1.0, 1.6, 1.0] + [0.0, 0.0, 4.0])

@@ -276,7 +276,7 @@ def test_from_a_run_to_weights_and_back(tmp_path: Path) -> None:
         return done.output
 
     def run(out: str, *sets: str) -> Path:
-        told = [word for one in ("stages.classifier=", *sets) for word in ("--set", one)]
+        told = [word for one in ("stages.classifier=", "uncertainty=none", *sets) for word in ("--set", one)]
         typed("run", HOME, *told, "--out", tmp_path / out)
         return tmp_path / out
 

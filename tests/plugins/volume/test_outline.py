@@ -88,7 +88,7 @@ def test_its_uncertainty_comes_from_the_image(rng: np.random.Generator) -> None:
     for image in (plain_image(rng, bright=25.0, shadow=False), plain_image(rng), noisy):
         (found,) = EdgeContour().outline(LASER, image, stripes_on(), None)
         stds.append(found.xy_std_px)
-        assert abs(distance(found.xy_px).mean()) < 3.0 * found.xy_std_px  # px
+        assert abs(distance(found.xy_px).mean()) < min(3.0 * found.xy_std_px, 0.6)  # px
     assert len({round(std, 3) for std in stds}) == 3
     assert all(0.1 < std < 0.8 for std in stds)
 
@@ -117,11 +117,6 @@ def test_what_a_coder_bridged_through_the_shadow_is_no_body(rng: np.random.Gener
     assert np.abs(distance(found.xy_px)).max() < 1.5  # px
 
 
-def test_a_dark_body_on_a_bright_belt(rng: np.random.Generator) -> None:
-    (found,) = EdgeContour().outline(LASER, plain_image(rng, bright=25.0, shadow=False), stripes_on(), None)
-    assert abs(distance(found.xy_px).mean()) < 0.6  # px
-
-
 def test_two_products_have_an_outline_each(rng: np.random.Generator) -> None:
     two = ((95.0, 120.0, 60.0, 40.0), (260.0, 115.0, 70.0, 45.0))
     found = EdgeContour().outline(LASER, plain_image(rng, two), stripes_on(two), None)
@@ -140,8 +135,7 @@ def test_images_of_two_scenes_refuse_every_product_also_one_without_an_edge(
     assert [(one.product, one.fault) for one in found] == [(1, said), (2, said)]
 
 
-@pytest.mark.parametrize("scale", [0.93, 1.07])
-@pytest.mark.parametrize("shadow", [True, False])
+@pytest.mark.parametrize(("scale", "shadow"), [(0.93, True), (1.07, True), (0.93, False), (1.07, False)])
 def test_an_outline_of_another_scale_refuses_its_product(
     rng: np.random.Generator, scale: float, shadow: bool
 ) -> None:
@@ -256,25 +250,11 @@ def test_features_of_known_outlines() -> None:
 def test_the_cheapest_closed_path_is_found(rng: np.random.Generator) -> None:
     """Against every path of a small strip."""
     cost = rng.uniform(0.0, 1.0, (6, 4))
-    best = np.inf
-    for code in range(4**6):
-        path = np.array([(code // 4**k) % 4 for k in range(6)])
-        if np.abs(path - np.roll(path, 1)).max() <= 1:
-            best = min(best, price(cost, path))
-    assert price(cost, closed_path(cost, 0.3, 1)) == pytest.approx(best, abs=1e-9)
 
+    def price(path: np.ndarray) -> np.ndarray:
+        step = path - np.roll(path, 1, axis=-1)
+        paid = cost[np.arange(6), path].sum(axis=-1) + 0.3 * (step**2).sum(axis=-1)
+        return np.where(np.abs(step).max(axis=-1) <= 1, paid, np.inf)
 
-def price(cost: np.ndarray, path: np.ndarray) -> float:
-    return float(cost[np.arange(6), path].sum() + 0.3 * ((path - np.roll(path, 1)) ** 2).sum())
-
-
-@pytest.mark.parametrize(("shown_rows", "told"), [(200, False), (60, True)])
-def test_what_is_most_of_the_image_is_no_body_that_goes_on_beyond_its_stripes(
-    shown_rows: int, told: bool
-) -> None:
-    """A product as bright as the belt: the bright part, both together, says nothing of its size."""
-    level = np.zeros((240, 240), np.float32)
-    level[:shown_rows] = 1.0
-    region = np.zeros(level.shape, np.bool_)
-    region[20:50, 20:60] = True
-    assert bool(edge_contour._shown_larger(level, {1: region}, 20.0)) == told
+    every = np.stack(np.meshgrid(*[np.arange(4)] * 6), axis=-1).reshape(-1, 6)
+    assert price(closed_path(cost, 0.3, 1)) == pytest.approx(price(every).min(), abs=1e-9)

@@ -49,25 +49,16 @@ def test_rules_are_those_of_scipy(n: int, rng: np.random.Generator) -> None:
     assert ours(slice_rules.SPLINE, ends) == pytest.approx(clamped.integrate(t[0], t[-1]), abs=1e-12)
 
 
-def test_a_parabolic_cap_is_exact() -> None:
+def test_a_parabolic_cap_is_exact_and_past_the_next_stripe_believed_ever_less() -> None:
     t = np.array([-3.0, -1.0, 2.0])
     area = 16.0 - t**2  # falls to zero at ±4
     for end, (length, volume) in enumerate([(1.0, 11.0 / 3.0), (2.0, 40.0 / 3.0)]):
         found = slice_rules.taper_of(t, area, end, 5.0, True)
         assert found[:3] == pytest.approx((volume, length, -2.0 * t[-end]), abs=1e-12)
         assert found[3] == pytest.approx(1.0, abs=1e-6)
-
-
-def test_a_taper_of_slices_that_do_not_taper_is_not_believed() -> None:
-    t, area = np.array([0.0, 1.0, 2.0]), np.full(3, 7.0)
-    for end, limited in ((0, True), (1, False)):
-        volume, length, _, trust = slice_rules.taper_of(t, area, end, 3.0, limited)
-        assert (volume, length, trust) == (0.0, 0.0, 0.0)
-
-
-def test_a_taper_past_the_next_stripe_is_believed_ever_less() -> None:
-    t = np.array([-3.0, -1.0, 2.0])
-    trusts = [slice_rules.taper_of(t, 16.0 - t**2, 0, 1.0 / over, True)[3] for over in (1.0, 1.15, 1.3, 2.0)]
+        level = slice_rules.taper_of(t, np.full(3, 7.0), end, 3.0, end == 0)
+        assert (level[0], level[1], level[3]) == (0.0, 0.0, 0.0), "what does not taper"
+    trusts = [slice_rules.taper_of(t, area, 0, 1.0 / over, True)[3] for over in (1.0, 1.15, 1.3, 2.0)]
     assert trusts == pytest.approx([0.9, 0.5, 0.12, 0.0], abs=0.02)
 
 
@@ -81,16 +72,23 @@ def test_smooth_areas_are_even(rng: np.random.Generator) -> None:
     assert slice_rules.unevenness(t, area) > 1.0
 
 
-@pytest.mark.parametrize("estimator", [SliceSimpson, SlicePchip, SliceSpline])
-@pytest.mark.parametrize("shift_px", [0.0, 9.0, 23.0])
-@pytest.mark.parametrize("size", [(75.0, 40.0, 14.0), (92.0, 30.0, 18.0), (50.0, 50.0, 20.0)])
-def test_half_ellipsoids_under_eleven_stripes(estimator, shift_px: float, size) -> None:
+@pytest.mark.parametrize(
+    ("shift_px", "size"),
+    [
+        (0.0, (75.0, 40.0, 14.0)),
+        (9.0, (92.0, 30.0, 18.0)),
+        (23.0, (50.0, 50.0, 20.0)),
+        (9.0, (50.0, 50.0, 20.0)),
+    ],
+)
+def test_half_ellipsoids_under_eleven_stripes(shift_px: float, size) -> None:
     """Within 0.5 % wherever the stripes fall, the planes leaning by 0.375 mm a millimetre."""
     solid = Solid("half-ellipsoid", *size)
-    rig = replace(ELEVEN, first_px=ELEVEN.first_px + shift_px)
-    volume = estimator().estimate(product_of(solid, rig))
-    assert volume.visible_mm3.value == pytest.approx(solid.volume_mm3, rel=5e-3)
-    assert volume.shares.assumed > 0.0
+    product = product_of(solid, replace(ELEVEN, first_px=ELEVEN.first_px + shift_px))
+    for estimator in (SliceSimpson, SlicePchip, SliceSpline):
+        volume = estimator().estimate(product)
+        assert volume.visible_mm3.value == pytest.approx(solid.volume_mm3, rel=5e-3)
+        assert volume.shares.assumed > 0.0
 
 
 @pytest.mark.parametrize("length", [62.0, 66.0, 69.0])
@@ -177,15 +175,6 @@ def test_doubts_are_told() -> None:
         assert code in codes(SlicePchip().estimate(doubtful))
 
 
-def test_points_may_stand_in_any_order(rng: np.random.Generator) -> None:
-    product = product_of(HALF_ELLIPSOID, ELEVEN)
-    profiles, order = product.profiles, rng.permutation(480)
-    names = ("product", "seen", "x_px", "row_px", "height_std_mm", "xyz_mm")
-    mixed = replace(profiles, **{name: getattr(profiles, name)[:, order] for name in names})
-    one, other = (SlicePchip().estimate(replace(product, profiles=p)) for p in (profiles, mixed))
-    assert other.visible_mm3.value == pytest.approx(one.visible_mm3.value, rel=1e-12)
-
-
 def test_draws_scatter_by_the_stated_uncertainty(rng: np.random.Generator) -> None:
     product = product_of(HALF_ELLIPSOID, ELEVEN)
     stated = SlicePchip().estimate(product).visible_mm3
@@ -254,27 +243,21 @@ def with_underside(**options):
     return SlicePchip(SliceOptions(**options)).estimate(product_of(HALF_ELLIPSOID))
 
 
-def test_unknown_states_no_true_volume_and_flat_is_the_visible_one() -> None:
+def test_what_is_known_of_the_underside_is_in_the_true_volume(rng: np.random.Generator) -> None:
     assert with_underside().true_mm3 is None
     volume = with_underside(underside="flat")
     assert volume.true_mm3.value == volume.visible_mm3.value
     assert volume.true_mm3.std == pytest.approx(volume.visible_mm3.std)
-
-
-def test_rounded_takes_a_share_and_says_how_sure(rng: np.random.Generator) -> None:
-    volume = with_underside(underside="rounded", true_share=0.85, true_share_std=0.05)
-    assert volume.true_mm3.value == pytest.approx(0.85 * volume.visible_mm3.value)
-    assert volume.true_mm3.budget["underside"] == pytest.approx(0.05 * volume.visible_mm3.value)
-    estimator = SlicePchip(SliceOptions(underside="rounded", true_share=0.85, true_share_std=0.05))
-    product = product_of(HALF_ELLIPSOID)
-    drawn = [estimator.estimate(product, rng=rng).true_mm3.value for _ in range(200)]
-    assert np.std(drawn) == pytest.approx(volume.true_mm3.std, rel=0.2)
-
-
-def test_an_air_gap_is_taken_off_over_the_footprint() -> None:
     volume = with_underside(underside="air-gap", gap_mm=1.0, gap_std_mm=0.2)
     foot = np.pi / 4.0 * 60.0 * 30.0
     assert volume.visible_mm3.value - volume.true_mm3.value == pytest.approx(foot, rel=0.02)  # mm³
+    told = {"underside": "rounded", "true_share": 0.85, "true_share_std": 0.05}
+    volume = with_underside(**told)
+    assert volume.true_mm3.value == pytest.approx(0.85 * volume.visible_mm3.value)
+    assert volume.true_mm3.budget["underside"] == pytest.approx(0.05 * volume.visible_mm3.value)
+    estimator, product = SlicePchip(SliceOptions(**told)), product_of(HALF_ELLIPSOID)
+    drawn = [estimator.estimate(product, rng=rng).true_mm3.value for _ in range(200)]
+    assert np.std(drawn) == pytest.approx(volume.true_mm3.std, rel=0.2)
 
 
 @pytest.mark.parametrize(

@@ -106,14 +106,13 @@ def off(made: tuple[Product, float]) -> float:
     return OutlineSurface().estimate(made[0]).visible_mm3.value / made[1] - 1.0
 
 
-@pytest.mark.parametrize("wall", [0.0, 3.0, 8.0])
-@pytest.mark.parametrize("place", [(0.0, 0.0), (-4.0, 6.0)])
+@pytest.mark.parametrize(("wall", "place"), [(0.0, (-4.0, 6.0)), (3.0, (0.0, 0.0)), (8.0, (-4.0, 6.0))])
 def test_domes_on_walls(wall: float, place) -> None:
     """Within 0.3 %, the silhouette 4 to 6 % larger than the footprint."""
     assert off(dome(*place, wall=wall)) == pytest.approx(0.0, abs=3e-3)
 
 
-@pytest.mark.parametrize("place", [(0.0, 0.0), (-6.0, 8.0), (2.0, 25.0)])
+@pytest.mark.parametrize("place", [(-6.0, 8.0), (2.0, 25.0)])
 def test_a_box_off_centre(place) -> None:
     """16.5 mm high: its top edge makes the far silhouette, its foot the near one."""
     assert off(box(*place)) == pytest.approx(0.0, abs=5e-3)
@@ -193,7 +192,7 @@ def test_a_product_cut_by_the_image_is_refused() -> None:
 def test_draws_scatter_by_the_stated_uncertainty(rng: np.random.Generator) -> None:
     made, _ = dome()
     stated = OutlineSurface(UndersideOptions(underside="flat")).estimate(made)
-    drawn = [OutlineSurface().estimate(made, rng=rng).visible_mm3.value for _ in range(60)]
+    drawn = [OutlineSurface().estimate(made, rng=rng).visible_mm3.value for _ in range(30)]
     own = np.sqrt(sum(std**2 for cause, std in stated.visible_mm3.budget.items() if cause != "outline"))
     assert np.std(drawn) == pytest.approx(own, rel=0.35)
     assert OutlineSurface().states_model_error
@@ -239,7 +238,7 @@ def test_a_drawn_product_takes_the_budget_that_was_found(rng: np.random.Generato
     marked = replace(found, visible_mm3=replace(found.visible_mm3, budget={"outline": 5.0, "rim": 70.0}))
     again = estimator.redraw(made, marked).visible_mm3
     assert again.value == pytest.approx(found.visible_mm3.value, rel=5e-4)  # one round more
-    drawn = [estimator.redraw(made, marked, rng=rng).visible_mm3.value for _ in range(60)]
+    drawn = [estimator.redraw(made, marked, rng=rng).visible_mm3.value for _ in range(40)]
     assert np.std(drawn) == pytest.approx(70.0, rel=0.35)  # the outline's place is the run's to move
     bare = replace(made, outline=None)
     slices = estimator.estimate(bare)
@@ -298,8 +297,7 @@ def test_two_products_that_touch_are_told() -> None:
     assert "waist" in codes(volume)
 
 
-@pytest.mark.parametrize("apart", [16.0, 18.0, 20.0, 22.0])
-@pytest.mark.parametrize("wall", [0.0, 1.0, 4.0])
+@pytest.mark.parametrize(("apart", "wall"), [(16.0, 0.0), (18.0, 4.0), (20.0, 1.0), (22.0, 0.0), (22.0, 4.0)])
 def test_two_products_side_by_side_have_no_volume_in_common(apart: float, wall: float) -> None:
     """Two domes beside each other, which stripes and outline take for one, overlapping or just touching."""
     made = side_by_side(apart, wall)
@@ -362,12 +360,8 @@ def test_belt_peaks_behind_unseen_rows_do_not_pull_the_rim_down(beyond: int) -> 
     assert points_of(spoilt).xyz_mm[:, 2].min() == pytest.approx(points_of(made).xyz_mm[:, 2].min())
     fused = fuse(spoilt, spoilt.view, spoilt.outline)
     assert fused.volume_mm3 == pytest.approx(true_mm3, rel=0.01)
-
-
-def test_points_as_high_as_the_rest_stay() -> None:
-    made = dome(wall=8.0)[0]
-    spoilt = with_belt_peaks(made, 2, z_mm=7.0)
-    assert points_of(spoilt).xyz_mm.shape[0] > points_of(made).xyz_mm.shape[0]
+    as_high = with_belt_peaks(made, 2, z_mm=7.0)
+    assert points_of(as_high).xyz_mm.shape[0] > points_of(made).xyz_mm.shape[0]
 
 
 def with_belt_peaks(made: Product, count: int, z_mm: float = 1.5) -> Product:
@@ -396,16 +390,6 @@ def test_rows_down_a_wall_that_the_camera_sees_are_no_end_of_the_top(rows: int) 
     )
     index, first, _ = ends_of(points, y)
     assert index[first].tolist() == [rows, y.size - 1]
-
-
-def test_a_dome_keeps_its_outermost_row() -> None:
-    d = 0.1 + 0.19 * np.arange(40)
-    z = 3.0 + np.sqrt(20.0 * d)
-    points = StripePoints(
-        np.column_stack([np.zeros_like(d), -d, z]), np.zeros(d.size, int), np.array([0, d.size])
-    )
-    index, first, _ = ends_of(points, points.xyz_mm[:, 1])
-    assert index[first].tolist() == [0, d.size - 1]
 
 
 @pytest.mark.parametrize("made", [box, dome, half_cylinder])
