@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry_simulate.optics import Camera, Focus, LaserFan, blur_sigma_px
+from roemetry_simulate.optics import Camera, LaserFan, blur_sigma_px
 from roemetry_simulate.render import Rig, Sensor
 
 Floats = NDArray[np.float64]
@@ -314,18 +314,19 @@ def peak_std(stripe: Stripe, sensor: Sensor, phase_px: float = 0.2) -> PeakStd:
     )
 
 
-def speckle_limit_px(
-    focus: Focus, *, focal_length_mm: float, pixel_size_mm: float, wavelength_nm: float, contrast: float
-) -> float:
-    """Return the speckle limit of a stripe's place.
+def speckle_limit_px(rig: Rig, wavelength_nm: float, contrast: float) -> float:
+    """Return the speckle limit of a stripe's place; NaN where the scene gives no aperture.
 
     contrast · λ / (2π sin u), in the image, with sin u = 1 / (2 N (1 + magnification)) for the f-number N
     (Dorsch, Häusler, Herrmann 1994). For a line as fine as the lens resolves; a wider one does worse, and
     averaging along the line is not counted.
     """
-    magnification = focal_length_mm / (focus.distance_mm - focal_length_mm)
-    sine = 1.0 / (2.0 * focus.f_number * (1.0 + magnification))
-    return contrast * 1e-6 * wavelength_nm / (2.0 * math.pi * sine) / pixel_size_mm
+    if rig.focus is None:
+        return math.nan
+    focal_mm = rig.camera.focal_length_mm
+    magnification = focal_mm / (rig.focus.distance_mm - focal_mm)
+    sine = 1.0 / (2.0 * rig.focus.f_number * (1.0 + magnification))
+    return contrast * 1e-6 * wavelength_nm / (2.0 * math.pi * sine) / rig.camera.pixel_size_mm
 
 
 def _profile(at: Floats, sigma: float) -> tuple[Floats, Floats, Floats]:

@@ -31,13 +31,12 @@ from roemetry_simulate.products.family import (
     draw_pose,
     random_of,
 )
-from roemetry_simulate.solid import MESH, ExactBody
+from roemetry_simulate.solid import MESH, MISS, ExactBody
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 _RAYS = 2_000_000  # vertical rays of the visible volume: right to 1e-4 of a box
-MISS = -1.0  # distance of a ray that meets nothing
 _LEAF = 4  # triangles of a leaf: fewer make the tree deep, more test many triangles
 _MARGIN_MM = 1e-7  # about boxes, against rounding
 _EDGE = 1e-12  # of an edge's length: what counts as inside, so that no ray slips through between neighbours

@@ -3,25 +3,36 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
+import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
-from roemetry.errors import ConfigurationError, PluginError
+from roemetry.errors import ConfigurationError, OutputError, PluginError
+from roemetry.io.files import make_folder
 from roemetry.run.executors import Executor
 from roemetry_tools.compare.aggregate import Figures
+from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.comparison import measure
 from roemetry_tools.compare.data import Data
+from roemetry_tools.compare.kept import KEPT, KeptLines, KeptScores, identity_of
 from roemetry_tools.compare.variants import Axis, Space, Variant, recipe_of
-from roemetry_tools.optimise.kept_trials import KeptTrials, TrialFigures
 from roemetry_tools.optimise.trueness import Trueness
 
 _BATCH = 8
 """Recipes that are tried at once: they share the steps that are the same, and the start of the workers."""
 _FINALISTS = 6
 """Recipes of the front that go on to the held-out part, at most."""
+
+
+TRIED = ".tried"
+
+TrialFigures = tuple[float, int, float, str]
+"""Of a trial: error, %; products missing; time, ms; and its fault."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -41,6 +52,50 @@ class Trial:
     def is_whole(self) -> bool:
         """Whether it has both figures."""
         return math.isfinite(self.error_pct) and math.isfinite(self.time_ms)
+
+
+class KeptTrials(KeptLines):
+    """A line in the search's folder for each recipe that was tried; a stopped search goes on where it was.
+
+    Optuna's own storages keep trials, but not where its sampler's random numbers are. So the search is begun
+    again with what is kept here in place of measuring: with the same figures it proposes the same recipes.
+    `told` decides the proposals besides the space: seed, quantity. OutputError where the folder holds a
+    search that was stopped and is not to be gone on with, or another one.
+    """
+
+    def __init__(
+        self, folder: Path, space: Space, data: Data, told: Sequence[object], *, resume: bool
+    ) -> None:
+        make_folder(folder)
+        self._folder, self._data, self._resume = folder, data, resume
+        if (folder / TRIED).exists() and not resume:
+            raise OutputError(
+                f"{folder}: there is a search in this folder that was stopped",
+                hint="go on with it by --resume, or choose another folder with --out",
+            )
+        axes = [(axis.key, axis.values) for axis in space.axes]
+        decides = f"{identity_of([space.as_it_is], data, Terms())} {axes} {[*told]}"
+        other = "search in this folder is of another recipe, space, seed or data"
+        super().__init__(folder / TRIED, hashlib.sha256(decides.encode()).hexdigest(), other)
+        self._known = dict(self.read(_read, "search"))
+
+    def figures_of(self, variant: Variant) -> TrialFigures | None:
+        """Give what a recipe came to before; None where it was not tried."""
+        return self._known.get(str(recipe_of(variant)))
+
+    def scores(self, variants: Sequence[Variant]) -> KeptScores:
+        """Give the file that keeps what acquisitions score while these recipes are tried."""
+        return KeptScores(self._folder, variants, self._data, Terms(), resume=self._resume)
+
+    def add(self, tried: Sequence[tuple[Variant, TrialFigures]]) -> None:
+        """Keep what recipes came to, instead of what acquisitions scored."""
+        (self._folder / KEPT).unlink(missing_ok=True)
+        self.append("\n".join(json.dumps([str(recipe_of(one)), of]) for one, of in tried))
+
+
+def _read(line: str) -> tuple[str, TrialFigures]:
+    name, (error_pct, missing, time_ms, fault) = json.loads(line)
+    return str(name), (float(error_pct), int(missing), float(time_ms), str(fault))
 
 
 class Search:
