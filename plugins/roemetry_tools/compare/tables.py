@@ -19,7 +19,6 @@ from rich.text import Text
 
 from roemetry.config.recipe_file import StageChoices
 from roemetry.html.plots import share
-from roemetry_tools.compare.aggregate import Errors
 from roemetry_tools.compare.agreement import Interval, Reliability, Shift, Terms
 from roemetry_tools.compare.racing import Stopped
 from roemetry_tools.compare.ranking import (
@@ -30,6 +29,7 @@ from roemetry_tools.compare.ranking import (
     leader_of,
     same_results,
 )
+from roemetry_tools.compare.score import Errors
 from roemetry_tools.compare.stripes import CentreScore, CodingScore
 
 Value = float | int | str | None

@@ -32,8 +32,16 @@ from roemetry_tools.compare.score import Scored
 from roemetry_tools.compare.tables import WORDS, warning_of
 from roemetry_tools.compare.variants import Space, Variant
 from roemetry_tools.compare.write import ItemsFile, write_comparison
-from roemetry_tools.optimise.search import TRIED, KeptTrials, Search, Trial, finalists, to_csv
-from roemetry_tools.optimise.trueness import Trueness, field_of
+from roemetry_tools.optimise.search import (
+    TRIED,
+    KeptTrials,
+    Search,
+    Trial,
+    Trueness,
+    field_of,
+    finalists,
+    to_csv,
+)
 
 TRIALS = "trials.csv"
 

@@ -1,4 +1,7 @@
-"""Search by Optuna: recipes are proposed in batches, from what was found of those before."""
+"""Search by Optuna: recipes are proposed in batches, from what was found of those before.
+
+They are judged by how near they are to the truth over all products that are known, measured or not.
+"""
 
 from __future__ import annotations
 
@@ -7,21 +10,22 @@ import hashlib
 import io
 import json
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from roemetry.errors import ConfigurationError, OutputError, PluginError
+from roemetry.errors import ConfigurationError, DataError, OutputError, PluginError
 from roemetry.io.files import make_folder
 from roemetry.run.executors import Executor
-from roemetry_tools.compare.aggregate import Figures
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.comparison import measure
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.kept import KEPT, KeptLines, KeptScores, identity_of
+from roemetry_tools.compare.score import QUANTITIES, Figures, Scored, beside_truth
+from roemetry_tools.compare.tables import WORDS
 from roemetry_tools.compare.variants import Axis, Space, Variant, recipe_of
-from roemetry_tools.optimise.trueness import Trueness
 
 _BATCH = 8
 """Recipes that are tried at once: they share the steps that are the same, and the start of the workers."""
@@ -260,3 +264,59 @@ def _domain(axis: Axis, distributions: Any) -> Any:
 def _text(value: object) -> str:
     """Write a proposed value as on the command line; six digits are finer than any option."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+_MISSING_PCT = 100.0
+"""Error of a product that was not measured, and of any other at most: else who refuses what is difficult
+would be the nearest.
+"""
+
+
+class Trueness:
+    """Adds up the absolute errors of a quantity, by the number of the variant."""
+
+    def __init__(self, field: str) -> None:
+        self._field = field
+        self._errors: defaultdict[int, list[float]] = defaultdict(list)
+        self._missing: defaultdict[int, int] = defaultdict(int)
+
+    def add(self, variant: Variant, scored: Scored) -> None:
+        """Add what a variant made of an acquisition."""
+        for pair in scored.pairs:
+            value, true = beside_truth(pair, self._field)
+            if not true > 0.0:
+                continue
+            measured = value is not None and math.isfinite(value)
+            self._missing[variant.number] += not measured
+            error = 100.0 * abs(value / true - 1.0) if measured and value is not None else _MISSING_PCT
+            self._errors[variant.number].append(min(error, _MISSING_PCT))
+
+    def of(self, number: int) -> tuple[float, int]:
+        """Give the mean absolute error, %, NaN without any, and how many products were not measured."""
+        errors = self._errors[number]
+        return math.fsum(errors) / len(errors) if errors else math.nan, self._missing[number]
+
+
+def field_of(data: Data, wanted: str | None) -> str:
+    """Give the quantity to judge by: the one that is wanted, else the first that the data know.
+
+    DataError where they know none, or not that one.
+    """
+    known = [
+        name
+        for name in QUANTITIES
+        if any(
+            getattr(product, name) > 0.0
+            for unit in data.units()
+            for product in (() if unit.item is None else unit.item.products)
+        )
+    ]
+    if wanted in known:
+        return wanted
+    if wanted is not None or not known:
+        what = "neither volume nor weight" if wanted is None else f"no {WORDS[wanted]}"
+        raise DataError(
+            f"nothing to search by: {data.without_truth or f'the data set knows {what} of any product'}",
+            hint="name a data set with truth by --data, or another quantity by --by",
+        )
+    return known[0]
