@@ -352,17 +352,9 @@ def recalls_of(graded: Sequence[Graded]) -> tuple[Recall, ...]:
         mine = [one for one in graded if one.true == name]
         called = [one for one in graded if one.given == name]
         hits = sum(one.right for one in mine)
-        found.append(
-            Recall(
-                name,
-                len(mine),
-                hits / len(mine),
-                wilson(hits, len(mine)),
-                len(called),
-                hits / len(called) if called else math.nan,
-                wilson(hits, len(called)),
-            )
-        )
+        recall = len(mine), hits / len(mine), wilson(hits, len(mine))
+        precision = hits / len(called) if called else math.nan
+        found.append(Recall(name, *recall, len(called), precision, wilson(hits, len(called))))
     return tuple(found)
 
 

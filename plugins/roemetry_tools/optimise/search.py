@@ -5,9 +5,7 @@ They are judged by how near they are to the truth over all products that are kno
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import math
 from collections import defaultdict
@@ -24,7 +22,7 @@ from roemetry_tools.compare.comparison import measure
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.kept import KEPT, KeptLines, KeptScores, identity_of
 from roemetry_tools.compare.score import QUANTITIES, Figures, Scored, beside_truth
-from roemetry_tools.compare.tables import WORDS
+from roemetry_tools.compare.tables import WORDS, csv_of
 from roemetry_tools.compare.variants import Axis, Space, Variant, recipe_of
 
 _BATCH = 8
@@ -227,18 +225,15 @@ def finalists(trials: Sequence[Trial]) -> list[Trial]:
 
 def to_csv(trials: Sequence[Trial], axes: Sequence[Axis]) -> str:
     """Write a line for each recipe that was tried."""
-    stream = io.StringIO(newline="")
-    writer = csv.writer(stream, lineterminator="\n")
     head = ["trial", "name", *(f"set {axis.key}" for axis in axes)]
-    writer.writerow([*head, "error_pct", "missing", "time_ms", "front", "reason"])
+    lines: list[list[object]] = [[*head, "error_pct", "missing", "time_ms", "front", "reason"]]
     front = {one.variant.number for one in front_of(trials)}
     for one in trials:
-        variant = one.variant
-        settings = [variant.settings.get(axis.key, "") for axis in axes]
-        figures = ["" if math.isnan(value) else value for value in (one.error_pct, one.missing, one.time_ms)]
-        on_front = str(variant.number in front).lower()
-        writer.writerow([variant.number, variant.name, *settings, *figures, on_front, one.fault])
-    return stream.getvalue()
+        number, name = one.variant.number, one.variant.name
+        settings = [one.variant.settings.get(axis.key, "") for axis in axes]
+        figures = (one.error_pct, one.missing, one.time_ms)
+        lines.append([number, name, *settings, *figures, str(number in front).lower(), one.fault])
+    return csv_of(lines)
 
 
 def _domain(axis: Axis, distributions: Any) -> Any:
