@@ -112,7 +112,7 @@ class MovingBelt(RigSimulator[MovingBeltOptions]):
         scan = self.options.scan
         extent = (-1.0, 1.0, -1.0, 1.0) if drawn is None else drawn.solid.footprint_extent_mm()
         low, high = extent[0] - scan.lead_mm, extent[1] + scan.lead_mm
-        feet = self._rig.laser.x_mm(0.0, 0.0)
+        feet = self.rig.laser.x_mm(0.0, 0.0)
         way = math.copysign(1.0, scan.mm_per_count[0])
         # the product's near end has to come to the first plane, its far end to pass the last
         begin, end = (
@@ -140,7 +140,7 @@ class MovingBelt(RigSimulator[MovingBeltOptions]):
     def crossings(self, drawn: Drawn | None, seed: int) -> Iterator[tuple[Floats, Floats]]:
         """Give of each line (stripe, row) where it shows, px, NaN nowhere, and how brightly, 0 to 1."""
         solid: Solid = EmptyBelt() if drawn is None else drawn.solid
-        body, camera, laser = solid.body(), self._rig.camera, self._rig.laser
+        body, camera, laser = solid.body(), self.rig.camera, self.rig.laser
         below_mm = self.options.scan.below_mm
         side, turn, place = 1.0, np.eye(3), np.zeros(3)
         if below_mm is not None:
@@ -160,17 +160,17 @@ class MovingBelt(RigSimulator[MovingBeltOptions]):
         import cv2
 
         rng = np.random.default_rng([seed, 89])
-        options, sensor = self.options, self._rig.sensor
+        options, sensor = self.options, self.rig.sensor
         white = 2**sensor.bit_depth - 1
-        grey = self._rig.laser.peak_grey * options.surface.albedo_laser
+        grey = self.rig.laser.peak_grey * options.surface.albedo_laser
         for x_px, bright in self.crossings(drawn, seed):
-            light = np.full((self._rig.camera.height_px, self._rig.camera.width_px), self._rig.ambient_grey)
+            light = np.full((self.rig.camera.height_px, self.rig.camera.width_px), self.rig.ambient_grey)
             _draw(x_px, bright * grey[:, None], options.scan.line_sigma_px, light)
             # along the line the lens blurs as well: no edge is sharper than it draws
             light = cv2.GaussianBlur(light, (1, _BLUR_ROWS), 0.0, sigmaY=sensor.psf_sigma_px)
             if sensor.speckle_contrast:
                 grain = 1.0 + sensor.speckle_contrast * rng.standard_normal(light.shape)
-                light = np.maximum(light + (light - self._rig.ambient_grey) * (grain - 1.0), 0.0)
+                light = np.maximum(light + (light - self.rig.ambient_grey) * (grain - 1.0), 0.0)
             # shot noise of many electrons and the read noise are one normal number
             spread = np.sqrt(light * sensor.grey_per_electron + sensor.read_noise_grey**2)
             seen = light + sensor.black_level_grey + spread * rng.standard_normal(light.shape)

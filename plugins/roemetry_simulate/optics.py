@@ -102,20 +102,8 @@ class Camera:
 
     def packed(self) -> Floats:
         """Return what the kernels take: pinhole, principal point, focal length (px), 1 or 0, lens (8,)."""
-        flag = 1.0 if self.distorts else 0.0
-        return np.array(
-            [
-                *self.centre_mm,
-                *self.principal_px,
-                self.focal_length_px,
-                flag,
-                *self.distortion,
-                0.0,
-                0.0,
-                0.0,
-            ],
-            dtype=np.float64,
-        )
+        lens = [float(self.distorts), *self.distortion, 0.0, 0.0, 0.0]
+        return np.array([*self.centre_mm, *self.principal_px, self.focal_length_px, *lens])
 
     def ray(self, x_px: ArrayLike, y_px: ArrayLike) -> Floats:
         """Unit directions in the belt frame, S + (3,), of the rays through image points (px) of shape S."""
@@ -142,15 +130,9 @@ class Camera:
 
 
 def looking_down(
-    width_px: int,
-    height_px: int,
-    *,
-    pixel_size_mm: float,
-    focal_length_mm: float,
-    distance_mm: float,
-    tilt_x_deg: float = 0.0,
-    tilt_y_deg: float = 0.0,
-) -> Camera:
+    width_px: int, height_px: int, *, pixel_size_mm: float, focal_length_mm: float, distance_mm: float,
+    tilt_x_deg: float = 0.0, tilt_y_deg: float = 0.0,
+) -> Camera:  # fmt: skip
     """Return a camera above the belt whose optical axis meets the belt at the origin.
 
     The tilts turn it about its own x axis, then about its own y axis; zero looks straight down, with image
@@ -223,14 +205,8 @@ class LaserFan:
 
     def packed(self) -> Floats:
         """Return what the kernels take: waist (mm), fall (rad), its distance (mm), divergence (rad)."""
-        return np.array(
-            [
-                self.sigma_mm,
-                np.deg2rad(self.line_sigma_deg),
-                self.waist_distance_mm,
-                1e-3 * self.divergence_mrad,
-            ]
-        )
+        fall, grows = np.deg2rad(self.line_sigma_deg), 1e-3 * self.divergence_mrad
+        return np.array([self.sigma_mm, fall, self.waist_distance_mm, grows])
 
     @property
     def count(self) -> int:
@@ -258,15 +234,9 @@ class LaserFan:
 
 
 def fan_through(
-    projector_mm: ArrayLike,
-    belt_x_mm: ArrayLike,
-    *,
-    yaw_deg: float = 0.0,
-    pitch_deg: float = 0.0,
-    sigma_mm: float,
-    peak_grey: ArrayLike,
-    line_sigma_deg: float = 25.0,
-) -> LaserFan:
+    projector_mm: ArrayLike, belt_x_mm: ArrayLike, *, yaw_deg: float = 0.0, pitch_deg: float = 0.0,
+    sigma_mm: float, peak_grey: ArrayLike, line_sigma_deg: float = 25.0,
+) -> LaserFan:  # fmt: skip
     """Return the fan whose planes meet the belt's X axis at given places, increasing.
 
     The yaw turns the lines about Z, counter-clockwise seen from above (0 is parallel to Y), the pitch lifts
@@ -304,16 +274,10 @@ def with_across(fan: LaserFan, feet_mm: ArrayLike) -> LaserFan:
     # normals point the way in which the planes are ordered, as those of the fan itself do
     planes = -rows_through(fan, np.sort(np.atleast_1d(feet_mm))[::-1])
     axis = np.array([fan.line_axis[1], -fan.line_axis[0], 0.0])
-    return replace(
-        fan,
-        across=replace(
-            fan,
-            normals=planes[:, :3],
-            offsets_mm=planes[:, 3],
-            line_axis=axis / np.linalg.norm(axis),
-            peak_grey=np.full(len(planes), float(np.mean(fan.peak_grey))),
-        ),
-    )
+    axis /= np.linalg.norm(axis)
+    grey = np.full(len(planes), float(np.mean(fan.peak_grey)))
+    across = replace(fan, normals=planes[:, :3], offsets_mm=planes[:, 3], line_axis=axis, peak_grey=grey)
+    return replace(fan, across=across)
 
 
 def turned(camera: Camera) -> Camera:
@@ -321,15 +285,9 @@ def turned(camera: Camera) -> Camera:
     (cx, cy), (k1, k2, p1, p2, k3) = camera.principal_px.tolist(), camera.distortion
     pose = camera.T_belt_camera.copy()
     pose[:3, :3] = np.column_stack([pose[:3, 1], -pose[:3, 0], pose[:3, 2]])
-    return Camera(
-        camera.height_px,
-        camera.width_px,
-        camera.pixel_size_mm,
-        camera.focal_length_mm,
-        pose,
-        (cy, camera.width_px - 1.0 - cx),
-        (k1, k2, -p2, p1, k3),
-    )
+    middle, lens = (cy, camera.width_px - 1.0 - cx), (k1, k2, -p2, p1, k3)
+    sensor = camera.height_px, camera.width_px, camera.pixel_size_mm
+    return Camera(*sensor, camera.focal_length_mm, pose, middle, lens)
 
 
 def view_mm(camera: Camera, height_mm: float = 0.0) -> tuple[float, float, float, float]:

@@ -35,16 +35,16 @@ class RayCaster(RigSimulator[RayCasterOptions]):
     def __init__(self, options: RayCasterOptions | None = None) -> None:
         super().__init__(options)
         # a product that cannot be, or does not fit, is told before anything is rendered
-        draw_item(self.options.product, self._rig, 0, 0)
+        draw_item(self.options.product, self.rig, 0, 0)
 
     def simulate(self, number: int, seed: int) -> Simulated:
         """Make the item of this number; raise StageError where its product does not fit into the view."""
-        lying = draw_item(self.options.product, self._rig, number, seed)
+        lying = draw_item(self.options.product, self.rig, number, seed)
         solid = lying.solid
         surface = surface_of(self.options, lying.seed)
-        surface = contaminate(surface, self.options, self._rig, lying.products, lying.seed)
+        surface = contaminate(surface, self.options, self.rig, lying.products, lying.seed)
         pitch: Any = {"step_px": 0.5} if self.options.draft else {}
-        camera, laser = self._rig.camera, self._rig.laser
+        camera, laser = self.rig.camera, self.rig.laser
         if len(laser.rows):
             crossings = dot_centres(camera, laser, solid)
         else:
@@ -55,7 +55,7 @@ class RayCaster(RigSimulator[RayCasterOptions]):
             stripes = replace(stripes, across=stripes_of(across, solid))
         frames = []
         for role in self.options.light.images:
-            rig = self._rig
+            rig = self.rig
             if role == "dark":
                 off = replace(laser, peak_grey=np.zeros_like(laser.peak_grey), across=None)
                 rig = replace(rig, laser=off)

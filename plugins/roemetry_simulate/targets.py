@@ -37,23 +37,24 @@ class RigSimulator(Simulator[SceneT]):
     """What simulators of a scene's rig share: the rig, its camera's noise, the still targets."""
 
     @cached_property
-    def _rig(self) -> Rig:
+    def rig(self) -> Rig:
+        """The rig that the scene describes."""
         return rig_of(self.options)
 
     def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
         """Give the calibration images, by kind and name; each is made when it is asked for."""
-        return self.options.targets.views(partial(take_target, self.options, self._rig, seed))
+        return self.options.targets.views(partial(take_target, self.options, self.rig, seed))
 
     def sensor(self) -> Noise:
         """Give the noise of the scene's camera."""
-        return Noise(self._rig.sensor.grey_per_electron, self._rig.sensor.read_noise_grey)
+        return Noise(self.rig.sensor.grey_per_electron, self.rig.sensor.read_noise_grey)
 
     def calibration_truth(self, seed: int) -> Mapping[str, Any]:
         """Give the true rig and the true places of all targets, as plain values.
 
         The rig's keys are those of `roemetry.records.view.View`; lengths in mm of the belt frame.
         """
-        camera, laser, targets = self._rig.camera, self._rig.laser, self.options.targets
+        camera, laser, targets = self.rig.camera, self.rig.laser, self.options.targets
         focal, (cx, cy) = camera.focal_length_px, camera.principal_px.tolist()
         return {
             "rig": {

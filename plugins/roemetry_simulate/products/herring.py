@@ -268,16 +268,10 @@ def dents(record: SkeinRecord) -> list[SkeinRecord]:
         along, across, depth = rng.uniform(-0.55, 0.55), rng.uniform(-0.35, 0.35), rng.uniform(2.0, 6.0)
         length, width = rng.uniform(5.0, 20.0, 2)
         deepest = max(0.5 * (record.thickness_mm - record.rim_height_mm), 2.0)
-        found.append(
-            replace(
-                record,
-                defect_along=float(along),
-                defect_across=float(across),
-                defect_depth_mm=float(min(depth, deepest)),
-                defect_length_mm=float(length),
-                defect_width_mm=float(width),
-            )
-        )
+        names = ("along", "across", "depth_mm", "length_mm", "width_mm")
+        values = map(float, (along, across, min(depth, deepest), length, width))
+        own = {f"defect_{name}": value for name, value in zip(names, values, strict=True)}
+        found.append(replace(record, **own))  # type: ignore[arg-type]
     return found
 
 

@@ -213,10 +213,9 @@ def _closed(path: Path, changed_ns: int, mm_per_unit: float, up: str) -> ClosedM
 def _make(seed: int, options: MeshOptions) -> Drawn:
     try:
         changed_ns = options.file.stat().st_mtime_ns
+        mesh = _closed(options.file, changed_ns, options.mm_per_unit, options.up)
     except OSError as fault:
         raise DataError(f"{options.file}: {fault.strerror or fault}", at=_FILE) from fault
-    try:
-        mesh = _closed(options.file, changed_ns, options.mm_per_unit, options.up)
     except DataError as fault:
         fault.at = _FILE
         raise

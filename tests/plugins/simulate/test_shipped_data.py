@@ -95,7 +95,7 @@ def test_all_eleven_stripes_lie_on_the_calibration_block(stage) -> None:
     from roemetry_simulate.solid import Block, EmptyBelt
     from roemetry_simulate.truth import stripe_centres
 
-    rig, block = stage._rig, Block(*stage.options.targets.block.model_dump().values())
+    rig, block = stage.rig, Block(*stage.options.targets.block.model_dump().values())
     truth, belt = (stripe_centres(rig.camera, rig.laser, one) for one in (block, EmptyBelt()))
     assert (truth.on_product == 1).sum(axis=1).min() > 180
     assert ((truth.on_product == 0).sum(axis=1) > 180).all()
