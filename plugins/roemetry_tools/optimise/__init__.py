@@ -23,8 +23,9 @@ from roemetry.errors import ConfigurationError, DataError, InterruptedRunError
 from roemetry.io.files import write_whole
 from roemetry.io.remote import folder_for
 from roemetry.stages.registry import discover
+from roemetry_tools.compare import say
 from roemetry_tools.compare.agreement import Terms
-from roemetry_tools.compare.comparison import compare
+from roemetry_tools.compare.comparison import Measuring, compare
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.kept import KEPT, KeptScores
 from roemetry_tools.compare.ranking import Compared
@@ -162,15 +163,8 @@ def optimise(
                     KeptScores(folder, variants, rest, terms, resume=resume) as scores,
                     progress("comparing", quiet=False) as shown,
                 ):
-                    compared = compare(
-                        variants,
-                        rest,
-                        terms=terms,
-                        executor=executor,
-                        kept=scores,
-                        on_scored=add,
-                        on_progress=shown,
-                    )
+                    how: Measuring = {"executor": executor, "kept": scores, "on_scored": add}
+                    compared = compare(variants, rest, terms=terms, **how | {"on_progress": shown})
         except KeyboardInterrupt as stop:
             raise InterruptedRunError(
                 f"stopped; what was tried is kept in {folder}",
@@ -179,12 +173,9 @@ def optimise(
         files = write_comparison(folder, compared, rest, terms=terms, command=sys.argv[1:], began=began)
         for name in (TRIED, KEPT):
             (folder / name).unlink()
-    console = Console()
-    console.print(_table(search.trials[0], chosen, last, compared))
-    for line in _last_word(chosen[0], field, last, compared):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-    for file in (folder / TRIALS, *files):
-        console.print(f"  {destination / file.relative_to(folder)}", highlight=False, soft_wrap=True)
+    Console().print(_table(search.trials[0], chosen, last, compared))
+    say(_last_word(chosen[0], field, last, compared))
+    say(f"  {destination / file.relative_to(folder)}" for file in (folder / TRIALS, *files))
 
 
 def _table(as_it_is: Trial, chosen: Sequence[Trial], last: Trueness, compared: Sequence[Compared]) -> Table:
