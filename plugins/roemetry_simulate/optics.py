@@ -37,20 +37,14 @@ _EDGE_STEPS = 33
 class Camera:
     """A pinhole camera whose lens may distort.
 
-    Attributes
-    ----------
-    width_px, height_px : int
-        Image size.
-    pixel_size_mm : float
-        Pitch of the square pixels on the sensor.
-    focal_length_mm : float
-        Distance from the pinhole to the sensor.
-    T_belt_camera : ndarray, shape (4, 4)
-        Pose "to belt from camera", millimetres. Camera axes: x right, y down, z forward.
-    principal_point_px : tuple of float or None
-        Where the optical axis meets the image; None is the image centre ((w - 1)/2, (h - 1)/2).
-    distortion : tuple of float
-        k1, k2, p1, p2, k3 of OpenCV's model; all zero is a perfect lens.
+    - `width_px`, `height_px`: Image size.
+    - `pixel_size_mm`: Pitch of the square pixels on the sensor.
+    - `focal_length_mm`: Distance from the pinhole to the sensor.
+    - `T_belt_camera`, shape (4, 4): Pose "to belt from camera", millimetres. Camera axes: x right, y down, z
+      forward.
+    - `principal_point_px`: Where the optical axis meets the image; None is the image centre ((w - 1)/2, (h -
+      1)/2).
+    - `distortion`: k1, k2, p1, p2, k3 of OpenCV's model; all zero is a perfect lens.
     """
 
     width_px: int
@@ -153,31 +147,22 @@ def looking_down(
 class LaserFan:
     """N planes of light through one projector point.
 
-    Attributes
-    ----------
-    projector_mm : ndarray, shape (3,)
-        Where the light comes from, belt frame, millimetres.
-    normals : ndarray, shape (N, 3)
-        Unit normals n of the planes n·X = d in the belt frame, stripes ordered along belt X.
-    offsets_mm : ndarray, shape (N,)
-        Their d, millimetres.
-    line_axis : ndarray, shape (3,)
-        Unit direction which all planes share (the lines' run), belt frame.
-    sigma_mm : float
-        Standard deviation of the light's Gaussian profile across a plane, where it is thinnest.
-    peak_grey : ndarray, shape (N,)
-        Grey levels in a plane's middle on a white (albedo 1) surface that faces the projector.
-    line_sigma_deg : float
-        Gaussian fall of the power with the angle along the line.
-    waist_distance_mm, divergence_mrad : float
-        Where the planes are thinnest, from the projector, and how the standard deviation grows away from
-        there: sqrt(sigma² + (divergence · (distance − waist))²). A plane that is wider is less bright.
-    rows : ndarray, shape (M, 5)
-        Planes n·X = d across the others, (n, d, 1), ordered along belt Y. Where there are any, light is a dot
-        where two planes meet, the product of both profiles; (0, 5): the light is lines.
-    across : LaserFan or None
-        The second family of a grid, whose light adds to this one's; ordered against belt Y, as the image
-        turned by 90° counter-clockwise shows it from left to right.
+    - `projector_mm`, shape (3,): Where the light comes from, belt frame, millimetres.
+    - `normals`, shape (N, 3): Unit normals n of the planes n·X = d in the belt frame, stripes ordered along
+      belt X.
+    - `offsets_mm`, shape (N,): Their d, millimetres.
+    - `line_axis`, shape (3,): Unit direction which all planes share (the lines' run), belt frame.
+    - `sigma_mm`: Standard deviation of the light's Gaussian profile across a plane, where it is thinnest.
+    - `peak_grey`, shape (N,): Grey levels in a plane's middle on a white (albedo 1) surface that faces the
+      projector.
+    - `line_sigma_deg`: Gaussian fall of the power with the angle along the line.
+    - `waist_distance_mm`, `divergence_mrad`: Where the planes are thinnest, from the projector, and how the
+      standard deviation grows away from there: sqrt(sigma² + (divergence · (distance − waist))²). A plane
+      that is wider is less bright.
+    - `rows`, shape (M, 5): Planes n·X = d across the others, (n, d, 1), ordered along belt Y. Where there are
+      any, light is a dot where two planes meet, the product of both profiles; (0, 5): the light is lines.
+    - `across`: The second family of a grid, whose light adds to this one's; ordered against belt Y, as the
+      image turned by 90° counter-clockwise shows it from left to right.
     """
 
     projector_mm: Floats

@@ -30,14 +30,12 @@ _RANGE_STEPS = 4001
 class Scale:
     """How belt-frame millimetres become pixels at points of one shape S.
 
-    Attributes
-    ----------
-    x_mm_per_px, y_mm_per_px : ndarray, shape S
-        On a level surface, for one pixel along the image row and along the column, mm.
-    height_px_per_mm : ndarray, shape S
-        Displacement of the stripe along its image row for one millimetre of height; signed.
-    across_mm_per_px : ndarray, shape S
-        Distance from the light plane, along its normal, for one pixel along the row on a level surface, mm.
+    - `x_mm_per_px`, `y_mm_per_px`, shape S: On a level surface, for one pixel along the image row and along
+      the column, mm.
+    - `height_px_per_mm`, shape S: Displacement of the stripe along its image row for one millimetre of
+      height; signed.
+    - `across_mm_per_px`, shape S: Distance from the light plane, along its normal, for one pixel along the
+      row on a level surface, mm.
     """
 
     x_mm_per_px: Floats
@@ -183,16 +181,10 @@ _WIDEST_PX = 100.0
 class Stripe:
     """A stripe on a level surface as its image row has it.
 
-    Attributes
-    ----------
-    peak_grey : float
-        Light in its middle before any blur, grey levels.
-    line_sigma_px : float
-        Standard deviation of the light's profile on the sensor before any blur.
-    defocus_sigma_px : float
-        Blur of the lens at this depth.
-    background_grey : float
-        Light beside it.
+    - `peak_grey`: Light in its middle before any blur, grey levels.
+    - `line_sigma_px`: Standard deviation of the light's profile on the sensor before any blur.
+    - `defocus_sigma_px`: Blur of the lens at this depth.
+    - `background_grey`: Light beside it.
     """
 
     peak_grey: float
@@ -209,18 +201,11 @@ class Stripe:
 class PeakStd:
     """Standard uncertainties of a stripe's place in one row, px.
 
-    Attributes
-    ----------
-    bound_px : float
-        Cramér-Rao bound with shot noise, read noise, rounding and speckle.
-    noise_bound_px : float
-        The same without speckle.
-    centre_of_gravity_px : float
-        Of the centre of gravity, all of that counted.
-    peak_grey : float
-        Highest grey level of the mean image, black level counted.
-    is_saturated : bool
-        Whether the sensor's white or its full well cuts the stripe.
+    - `bound_px`: Cramér-Rao bound with shot noise, read noise, rounding and speckle.
+    - `noise_bound_px`: The same without speckle.
+    - `centre_of_gravity_px`: Of the centre of gravity, all of that counted.
+    - `peak_grey`: Highest grey level of the mean image, black level counted.
+    - `is_saturated`: Whether the sensor's white or its full well cuts the stripe.
     """
 
     bound_px: float

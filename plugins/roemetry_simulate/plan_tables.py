@@ -42,16 +42,11 @@ _TO_BORDER = 0.9
 class Space:
     """A rig, and over which Y and heights it is planned.
 
-    Attributes
-    ----------
-    rig : Rig
-        The rig.
-    albedo : float
-        Of the product, in the laser's light.
-    speckle_limit_px : float
-        Below which speckle lets no stripe's place be known; NaN where the scene gives no aperture.
-    product_mm : float
-        Height of the scene's highest product; NaN where there is none.
+    - `rig`: The rig.
+    - `albedo`: Of the product, in the laser's light.
+    - `speckle_limit_px`: Below which speckle lets no stripe's place be known; NaN where the scene gives no
+      aperture.
+    - `product_mm`: Height of the scene's highest product; NaN where there is none.
     """
 
     rig: Rig

@@ -37,24 +37,14 @@ Flags = NDArray[np.bool_]
 class Sensor:
     """What the camera does to the light.
 
-    Attributes
-    ----------
-    grey_per_electron : float
-        Gain; shot noise has the variance `grey_per_electron` × grey level.
-    read_noise_grey : float
-        Standard deviation of the noise that is there without light.
-    black_level_grey : float
-        Grey level without light.
-    psf_sigma_px : float
-        Gaussian blur of the lens on the sensor.
-    speckle_contrast : float
-        Standard deviation over mean of the laser light's speckle as the camera sees it.
-    speckle_sigma_px : float
-        Gaussian filter that sets the grain of the speckle.
-    full_well_e : float
-        Electrons a pixel holds; what comes beyond is lost.
-    bit_depth : int
-        8 to 16: the highest grey level is 2**bit_depth − 1.
+    - `grey_per_electron`: Gain; shot noise has the variance `grey_per_electron` × grey level.
+    - `read_noise_grey`: Standard deviation of the noise that is there without light.
+    - `black_level_grey`: Grey level without light.
+    - `psf_sigma_px`: Gaussian blur of the lens on the sensor.
+    - `speckle_contrast`: Standard deviation over mean of the laser light's speckle as the camera sees it.
+    - `speckle_sigma_px`: Gaussian filter that sets the grain of the speckle.
+    - `full_well_e`: Electrons a pixel holds; what comes beyond is lost.
+    - `bit_depth`: 8 to 16: the highest grey level is 2**bit_depth − 1.
     """
 
     grey_per_electron: float = 0.0255
@@ -71,22 +61,14 @@ class Sensor:
 class Rig:
     """What is bolted to the line: camera, sensor, laser and lamps.
 
-    Attributes
-    ----------
-    camera, sensor, laser
-        See their classes.
-    ambient_grey : float
-        Grey level of a white, level surface with the laser on (stray light, straight from above).
-    plain_grey : float
-        Grey level of a white, level surface under the plain light with the laser off.
-    lamp_height_mm, lamp_radius_mm : float
-        The plain light is a ring of lamps about the optical axis.
-    stray_mm : tuple of float or None
-        Where a lamp is that is always on, which glossy places mirror; None is none.
-    stray_grey : float
-        Grey level of a white surface that faces this lamp.
-    focus : Focus or None
-        Where the lens is focused; None is sharp everywhere, up to the sensor's own blur.
+    - `camera`, `sensor`, `laser`: See their classes.
+    - `ambient_grey`: Grey level of a white, level surface with the laser on (stray light, straight from
+      above).
+    - `plain_grey`: Grey level of a white, level surface under the plain light with the laser off.
+    - `lamp_height_mm`, `lamp_radius_mm`: The plain light is a ring of lamps about the optical axis.
+    - `stray_mm`: Where a lamp is that is always on, which glossy places mirror; None is none.
+    - `stray_grey`: Grey level of a white surface that faces this lamp.
+    - `focus`: Where the lens is focused; None is sharp everywhere, up to the sensor's own blur.
     """
 
     camera: Camera

@@ -163,14 +163,9 @@ class EmptyBelt:
 class Block:
     """A rectangular block on the belt, exact.
 
-    Attributes
-    ----------
-    length_mm, width_mm, height_mm : float
-        Sides along its own x, its own y, and Z.
-    centre_x_mm, centre_y_mm : float
-        Centre of its footprint, belt frame.
-    yaw_deg : float
-        Its own x axis turned from belt X, counter-clockwise seen from above.
+    - `length_mm`, `width_mm`, `height_mm`: Sides along its own x, its own y, and Z.
+    - `centre_x_mm`, `centre_y_mm`: Centre of its footprint, belt frame.
+    - `yaw_deg`: Its own x axis turned from belt X, counter-clockwise seen from above.
     """
 
     length_mm: float
@@ -233,13 +228,9 @@ class Block:
 class GriddedSolid:
     """A body with a rounded rim, on a regular grid.
 
-    Attributes
-    ----------
-    x0_mm, y0_mm, step_mm : float
-        Belt position of node (0, 0) and the pitch of the square grid.
-    grid : ndarray, shape (rows along Y, columns along X, 3)
-        mid (mm), u_top (mm²), u_bottom (mm²); the two u are negative outside the footprint. The border
-        nodes lie outside the footprint.
+    - `x0_mm`, `y0_mm`, `step_mm`: Belt position of node (0, 0) and the pitch of the square grid.
+    - `grid`, shape (rows along Y, columns along X, 3): mid (mm), u_top (mm²), u_bottom (mm²); the two u are
+      negative outside the footprint. The border nodes lie outside the footprint.
     """
 
     x0_mm: float

@@ -24,17 +24,12 @@ _MAX_RESIDUAL_MM = 1e-4
 class StripeTruth:
     """Every stripe's centre in every pixel row. S stripes from left to right, R rows.
 
-    Attributes
-    ----------
-    x_px : ndarray, shape (S, R)
-        Sub-pixel position in the row, NaN where no point of the plane is both lit and seen.
-    xyz_mm : ndarray, shape (S, R, 3)
-        That point in the belt frame, millimetres, NaN alike.
-    on_product : ndarray of int8, shape (S, R)
-        1 on the product, 0 on the belt, -1 nothing.
-    hits : ndarray of int8, shape (S, R)
-        How many lit and seen points the plane has in the row; above 1 the one kept is on the product
-        rather than the belt, and the highest of these.
+    - `x_px`, shape (S, R): Sub-pixel position in the row, NaN where no point of the plane is both lit and
+      seen.
+    - `xyz_mm`, shape (S, R, 3): That point in the belt frame, millimetres, NaN alike.
+    - `on_product`, shape (S, R): 1 on the product, 0 on the belt, -1 nothing.
+    - `hits`, shape (S, R): How many lit and seen points the plane has in the row; above 1 the one kept is on
+      the product rather than the belt, and the highest of these.
     """
 
     x_px: Floats

@@ -62,15 +62,10 @@ class PopulationOptions(ProductOptions):
 class Drawn:
     """One product on the belt, with what is true of it.
 
-    Attributes
-    ----------
-    solid : Solid
-        The body, in the belt frame.
-    truth : ProductTruth
-        Its class, defect, volumes (mm³), mass (g), and further figures, units in their names.
-    reference : Solid or None
-        The same product, in the same place, without its defect; None where there is no such thing. What the
-        stripes show of the defect follows from both, see `roemetry_simulate.truth.stripes_show`.
+    - `solid`: The body, in the belt frame.
+    - `truth`: Its class, defect, volumes (mm³), mass (g), and further figures, units in their names.
+    - `reference`: The same product, in the same place, without its defect; None where there is no such thing.
+      What the stripes show of the defect follows from both, see `roemetry_simulate.truth.stripes_show`.
     """
 
     solid: Solid
@@ -90,16 +85,10 @@ class Pose(NamedTuple):
 class ProductFamily:
     """A kind of product that can be drawn.
 
-    Attributes
-    ----------
-    name : str
-        What recipes and command lines call it.
-    summary : str
-        One line that says what it is.
-    Options : type of ProductOptions
-        Its options: frozen, described, bounded.
-    make : callable
-        Makes the product of a seed and options; `draw` is its checked front.
+    - `name`: What recipes and command lines call it.
+    - `summary`: One line that says what it is.
+    - `Options`: Its options: frozen, described, bounded.
+    - `make`: Makes the product of a seed and options; `draw` is its checked front.
     """
 
     name: str

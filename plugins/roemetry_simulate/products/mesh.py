@@ -104,12 +104,9 @@ def build_tree(corners_mm: Floats) -> Tree:
 class MeshSolid:
     """A closed mesh on the belt.
 
-    Attributes
-    ----------
-    corners_mm : ndarray, shape (T, 3, 3)
-        Triangle, corner, (x, y, z), belt frame, counter-clockwise seen from outside.
-    visible_volume_mm3, true_volume_mm3, footprint_mm2 : float
-        Its volumes and its footprint's area.
+    - `corners_mm`, shape (T, 3, 3): Triangle, corner, (x, y, z), belt frame, counter-clockwise seen from
+      outside.
+    - `visible_volume_mm3`, `true_volume_mm3`, `footprint_mm2`: Its volumes and its footprint's area.
     """
 
     corners_mm: Floats

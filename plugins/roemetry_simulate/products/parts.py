@@ -62,16 +62,10 @@ def box(x_mm: tuple[float, float], y_mm: tuple[float, float], z_mm: tuple[float,
 class PartsSolid:
     """A union of convex parts on the belt.
 
-    Attributes
-    ----------
-    surfaces : ndarray, shape (F, 11)
-        Its surfaces in the belt frame, see the module.
-    visible_volume_mm3, true_volume_mm3, footprint_mm2 : float
-        From closed forms of whoever made it.
-    extent_mm : tuple of float
-        Smallest and largest X, smallest and largest Y of the footprint.
-    top_mm : float
-        Height of the highest point.
+    - `surfaces`, shape (F, 11): Its surfaces in the belt frame, see the module.
+    - `visible_volume_mm3`, `true_volume_mm3`, `footprint_mm2`: From closed forms of whoever made it.
+    - `extent_mm`: Smallest and largest X, smallest and largest Y of the footprint.
+    - `top_mm`: Height of the highest point.
     """
 
     surfaces: Floats
