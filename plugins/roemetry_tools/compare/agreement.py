@@ -64,14 +64,11 @@ class Bootstrap:
     ) -> list[Interval]:
         """Give the intervals of several statistics of the same draws.
 
-        Parameters
-        ----------
-        columns
-            (value, column): what is summed over the values.
-        statistics
-            Takes (draw, column + 1) sums, the last of them the number of values; gives (draw, statistic).
-        level
-            Share of draws within, widened for few products by Student's t (Hesterberg 2015, section 5.3).
+        - `columns`: (value, column): what is summed over the values.
+        - `statistics`: Takes (draw, column + 1) sums, the last of them the number of values; gives (draw,
+          statistic).
+        - `level`: Share of draws within, widened for few products by Student's t (Hesterberg 2015, section
+          5.3).
         """
         if self.count < 2:
             with np.errstate(divide="ignore", invalid="ignore"):  # asked only how many there are
