@@ -80,20 +80,14 @@ def in_reach(drawn: Drawn, rig: Rig, most_overhang_spacings: float) -> Drawn:
     """
     x_min, x_max, y_min, y_max = drawn.solid.footprint_extent_mm()
     height_mm = 0.25 * drawn.solid.body().top_mm
-    low, high = _lit_mm(rig, 0.5 * (y_min + y_max), height_mm, most_overhang_spacings)
-    shift_mm = max(low - x_min, 0.0) + min(high - x_max, 0.0)
-    return drawn if shift_mm == 0.0 else moved_to(drawn, shift_mm, 0.0)
-
-
-def _lit_mm(rig: Rig, y_mm: float, height_mm: float, most_overhang_spacings: float) -> tuple[float, float]:
-    """Give from and to which X products may reach: in view, and near the outermost planes."""
     low, high, _, _ = view_mm(rig.camera, height_mm)
     low, high = low + _MARGIN_MM, high - _MARGIN_MM
-    fan = np.sort(rig.laser.x_mm(y_mm, height_mm))
+    fan = np.sort(rig.laser.x_mm(0.5 * (y_min + y_max), height_mm))
     if fan.size > 1:
         beyond_mm = most_overhang_spacings * float(np.diff(fan).mean())
         low, high = max(low, float(fan[0]) - beyond_mm), min(high, float(fan[-1]) + beyond_mm)
-    return low, high
+    shift_mm = max(low - x_min, 0.0) + min(high - x_max, 0.0)
+    return drawn if shift_mm == 0.0 else moved_to(drawn, shift_mm, 0.0)
 
 
 def moved_to(drawn: Drawn, x_mm: float, y_mm: float) -> Drawn:
@@ -184,9 +178,7 @@ def side_by_side(
     StageError, which begins with the item's name, where there is no room for so many.
     """
     rng = np.random.default_rng([seed, 53])
-    low_y, high_y = view_mm(rig.camera, 0.0)[2:]
-    low_x, high_x = _lit_mm(rig, 0.5 * (low_y + high_y), 0.0, part.most_overhang_spacings)
-    low_y, high_y = low_y + _MARGIN_MM, high_y - _MARGIN_MM
+    low_x, high_x, low_y, high_y = _room(rig, part.most_overhang_spacings)
     shape = (int((high_y - low_y) / _CELL_MM), int((high_x - low_x) / _CELL_MM))
     masks = [_mask(one) for one in products]
     fits = all(mask.shape[0] < shape[0] and mask.shape[1] < shape[1] for mask in masks)
@@ -209,6 +201,16 @@ def side_by_side(
         hint="take fewer or smaller products, or a smaller gap",
         at=("product", "in_frame"),
     )
+
+
+def _room(rig: Rig, most_overhang_spacings: float) -> tuple[float, float, float, float]:
+    x_min, x_max, y_min, y_max = view_mm(rig.camera, 0.0)
+    feet = rig.laser.x_mm(0.5 * (y_min + y_max), 0.0)
+    if feet.size > 1:
+        beyond_mm = most_overhang_spacings * float(np.ptp(feet)) / (feet.size - 1)
+        x_min = max(x_min, float(feet.min()) - beyond_mm)
+        x_max = min(x_max, float(feet.max()) + beyond_mm)
+    return x_min + _MARGIN_MM, x_max - _MARGIN_MM, y_min + _MARGIN_MM, y_max - _MARGIN_MM
 
 
 def _mask(one: Drawn) -> Flags:
