@@ -135,16 +135,19 @@ def rest_on_belt(points_mm: Floats, faces: Faces, smooth: bool = True) -> Body:
     """Give a body whose lowest point touches the belt, the middle of its bounds over the origin."""
     low, high = points_mm.min(axis=0), points_mm.max(axis=0)
     middle = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
-    body = Body(points_mm - middle, faces, smooth)
-    return body if body.true_mm3 > 0.0 else replace(body, faces=np.ascontiguousarray(faces[:, ::-1]))
+    return outwards(Body(points_mm - middle, faces, smooth))
+
+
+def outwards(body: Body) -> Body:
+    """Give the body with its faces turned outwards."""
+    return body if body.true_mm3 > 0.0 else replace(body, faces=np.ascontiguousarray(body.faces[:, ::-1]))
 
 
 def read_body(path: Path, mm_per_unit: float, up: str) -> Body:
     """Read a mesh file and lay it on the belt; raise DataError, with its name, for what is no closed mesh."""
     points, faces = check_closed(read_mesh(path), str(path))
     size = mm_per_unit * points @ _upright(up).T
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    return rest_on_belt(size, faces, _is_smooth(size, faces, edges))
+    return rest_on_belt(size, faces, _is_smooth(size, faces))
 
 
 def mitsuba() -> Any:
@@ -178,8 +181,9 @@ def _upright(up: str) -> Floats:
     return np.diag([1.0, -1.0, -1.0]) @ turn if up[0] == "-" else turn
 
 
-def _is_smooth(points: Floats, faces: Faces, edges: Faces) -> bool:
+def _is_smooth(points: Floats, faces: Faces) -> bool:
     """Whether neighbouring faces mostly meet at less than 30 degrees: the mesh stands for a curved body."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     a, b, c = np.moveaxis(points[faces], 1, 0)
     normals = np.cross(b - a, c - a)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)

@@ -135,20 +135,18 @@ class Tracer:
         except RuntimeError as error:
             said = (str(error).strip().splitlines() or ["no reason given"])[-1]
             raise StageError(f"Mitsuba cannot take this scene: {said}", at=("product",)) from error
-        mi = self._mi
         self._belt_look, self._body_look = self._look_of(belt), self._look_of(material)
-        self._has_gloss = belt.gloss > 0.0 or bool(
-            bodies and (material.gloss > 0.0 or material.metal != "none")
-        )
+        shines = material.gloss > 0.0 or material.metal != "none"
+        self._has_gloss = belt.gloss > 0.0 or (bool(bodies) and shines)
         # opaque, so that another rig or light does not compile the kernels anew
         opaque = [*fan.origin_mm, *fan.axis, fan.sigma_mm, fan.waist_mm, fan.divergence_rad, fan.fall_rad]
-        x, y, z = 0.0, 0.0, 0.0
-        self._reference_mm = float(
-            np.linalg.norm(fan.origin_mm - np.array([fan.x_mm(0.0, 0.0).mean(), y, z]))
+        middle = np.array([fan.x_mm(0.0, 0.0).mean(), 0.0, 0.0])
+        self._reference_mm = float(np.linalg.norm(fan.origin_mm - middle))
+        opaque.append(self._reference_mm)
+        self._constants = [drjit.opaque(self._mi.Float, float(value)) for value in opaque]
+        self._planes = self._mi.Float(
+            np.column_stack([fan.normals, fan.peak_grey]).ravel().astype(np.float32)
         )
-        opaque.append(self._reference_mm + x)
-        self._constants = [drjit.opaque(mi.Float, float(value)) for value in opaque]
-        self._planes = mi.Float(np.column_stack([fan.normals, fan.peak_grey]).ravel().astype(np.float32))
 
     def image(self, lamps: Lamps, *, laser: bool, bounce_rays: int) -> tuple[Floats, Floats]:
         """Give the laser's light and all other, grey levels over black, each of shape (height, width)."""
@@ -185,13 +183,8 @@ class Tracer:
         si = self._scene.ray_intersect(mi.Ray3f(self._point(self._camera.centre_mm), self._vector(way)))
         valid = np.array(si.is_valid())
         body = valid & np.array(si.shape != self._belt)
-        points, normals = np.array(si.p).T.astype(np.float64), np.array(si.sh_frame.n).T.astype(np.float64)
-        return (
-            points.reshape(*shape, 3),
-            normals.reshape(*shape, 3),
-            valid.reshape(shape),
-            body.reshape(shape),
-        )
+        places = [np.array(part).T.astype(np.float64).reshape(*shape, 3) for part in (si.p, si.sh_frame.n)]
+        return places[0], places[1], valid.reshape(shape), body.reshape(shape)
 
     def _rays(self, k: int, spin: Singles) -> tuple[Any, Any]:
         """Camera rays of the sample k of every pixel: origins and unit directions in the belt frame."""
@@ -374,9 +367,8 @@ class Tracer:
         # a rank-1 lattice, shifted anew at each node
         u = (((k + 0.5) / rays)[None] + rng.random((count, 1))) % 1.0
         v = ((k * 0.6180339887498949)[None] + rng.random((count, 1))) % 1.0
-        local = np.stack(
-            [np.sqrt(u) * np.cos(2 * np.pi * v), np.sqrt(u) * np.sin(2 * np.pi * v), np.sqrt(1.0 - u)]
-        )
+        r, turn = np.sqrt(u), 2 * np.pi * v
+        local = np.stack([r * np.cos(turn), r * np.sin(turn), np.sqrt(1.0 - u)])
         way = _to_world(n.reshape(-1, 3), local).reshape(-1, 3)
         start = np.repeat((p + 1e-3 * n).reshape(-1, 3), rays, axis=0)
         active = mi.Bool(np.repeat(there.ravel(), rays))
@@ -503,11 +495,8 @@ def _to_world(normals: Floats, local: Floats) -> Floats:
     b = normals[:, 0] * normals[:, 1] * a
     s = np.stack([1.0 + sign * normals[:, 0] ** 2 * a, sign * b, -sign * normals[:, 0]], axis=-1)
     t = np.stack([b, sign + normals[:, 1] ** 2 * a, -normals[:, 1]], axis=-1)
-    return (
-        local[0][..., None] * s[:, None]
-        + local[1][..., None] * t[:, None]
-        + local[2][..., None] * normals[:, None]
-    )
+    x, y, z = local[..., None]
+    return np.asarray(x * s[:, None] + y * t[:, None] + z * normals[:, None])
 
 
 def _smoothed(
@@ -603,12 +592,3 @@ def _speckle(rng: np.random.Generator, shape: tuple[int, ...], sensor: Sensor) -
     count = 1.0 / sensor.speckle_contrast**2
     at = np.linspace(-5.5, 5.5, 1101)
     return np.asarray(np.interp(field, at, gamma.ppf(norm.cdf(at), count) / count))
-
-
-def diffraction_grain_px(
-    wavelength_nm: float, f_number: float, focal_mm: float, distance_mm: float, pixel_um: float
-) -> float:
-    """Deviation of the grain that diffraction at the aperture gives: λ N (1 + m) wide at half height."""
-    magnification = focal_mm / max(distance_mm - focal_mm, 1.0)
-    width_um = 1e-3 * wavelength_nm * f_number * (1.0 + magnification)
-    return width_um / pixel_um / (2.0 * math.sqrt(2.0 * math.log(2.0)))

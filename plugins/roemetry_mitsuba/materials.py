@@ -182,18 +182,15 @@ def dipole_of(depth_mm: float, blur_mm: float) -> Dipole:
 
 def _level(source: float, image: float, sigma: float) -> tuple[float, float]:
     """Sum of R over a level surface, and the deviation of a thin line's image, for a beam straight down."""
+    from scipy.integrate import trapezoid
+
     r = np.geomspace(1e-3, 200.0, 4000)
     given = np.zeros_like(r)
     for depth in (source, image):
         d = np.sqrt(r * r + depth * depth)
         given += depth * (1.0 + sigma * d) * np.exp(-sigma * d) / d**3 / (4.0 * np.pi)
-    total = _sum(2.0 * np.pi * r * given, r)
-    return total, math.sqrt(0.5 * _sum(2.0 * np.pi * r**3 * given, r) / total)
-
-
-def _sum(values: Floats, at: Floats) -> float:
-    """Integrate by the trapezoidal rule."""
-    return float((0.5 * (values[1:] + values[:-1]) * np.diff(at)).sum())
+    total, second = (float(trapezoid(2.0 * np.pi * r**power * given, r)) for power in (1, 3))
+    return total, math.sqrt(0.5 * second / total)
 
 
 def enter_tissue(

@@ -30,7 +30,7 @@ from pydantic import Field, field_validator
 
 from roemetry.config.scene_parts import NONE, Part
 from roemetry.errors import DataError
-from roemetry_mitsuba.bodies import Body, Faces, normals_of, read_body, rest_on_belt
+from roemetry_mitsuba.bodies import Body, Faces, normals_of, outwards, read_body, rest_on_belt
 
 Floats = NDArray[np.float64]
 Length = Annotated[float, Field(gt=0, le=2000)]
@@ -40,6 +40,7 @@ DEFECTS = ("none", "dented", "bent", "twisted", "folded", "broken")
 
 _STATIONS, _AROUND = 181, 88
 """Sections along a skein and corners of a section: faces of about 0.5 × 0.8 mm, flat to 5 µm."""
+_BROKEN_MM = 1.8  # over which a broken end is rounded
 _FILE_AT = ("product", "options", "file")
 
 
@@ -151,17 +152,13 @@ def skein(rng: np.random.Generator, options: SkeinOptions) -> Drawn:
     share = np.array([options.kinds[kind] for kind in kinds])
     kind = str(rng.choice(kinds, p=share / share.sum()))
     seed = int(rng.integers(2**62))
-    sound = _loft(np.random.default_rng([seed, 1]), options, NONE, None)
-    if kind == NONE:
-        return Drawn(sound)
-    defect = np.random.default_rng([seed, 2])
-    return Drawn(_loft(np.random.default_rng([seed, 1]), options, kind, defect), kind, sound)
+    sound = _loft(seed, options, NONE)
+    return Drawn(sound) if kind == NONE else Drawn(_loft(seed, options, kind), kind, sound)
 
 
-def _loft(
-    rng: np.random.Generator, options: SkeinOptions, kind: str, how: np.random.Generator | None
-) -> Body:
+def _loft(seed: int, options: SkeinOptions, kind: str) -> Body:
     """Sweep a skein; `rng` draws the sound body, `how` its defect, so that both share all but the defect."""
+    rng, how = np.random.default_rng([seed, 1]), np.random.default_rng([seed, 2])
     length, width, height = (
         float(rng.uniform(*r)) for r in (options.length_mm, options.width_mm, options.height_mm)
     )
@@ -177,34 +174,26 @@ def _loft(
     waves = _waves(rng)
     ramp = float(rng.uniform(0.5, 1.1))
 
-    end = 1.0 if kind != "broken" or how is None else float(how.uniform(0.58, 0.78))
+    end = float(how.uniform(0.58, 0.78)) if kind == "broken" else 1.0
     t = s * end
     taper = (1.0 - (1.0 - np.minimum(2.0 * t, 1.0)) ** blunt[0]) ** (1.0 / blunt[0])
     taper *= (1.0 - (1.0 - np.minimum(2.0 * (1.0 - t), 1.0)) ** blunt[1]) ** (1.0 / blunt[1])
-    broken_mm = 0.0
-    if end < 1.0:
-        broken_mm = 1.8
-        taper *= np.sqrt(
-            np.clip(
-                1.0 - ((s * end - (end - broken_mm / length)) / (broken_mm / length)).clip(0.0) ** 2, 0.0, 1.0
-            )
-        )
+    if kind == "broken":
+        rounded = _BROKEN_MM / length
+        taper *= np.sqrt(np.clip(1.0 - ((t - (end - rounded)) / rounded).clip(0.0) ** 2, 0.0, 1.0))
     x, y = length * (t - 0.5), np.array(drift)
     turn = np.zeros_like(s)
-    flat = 1.0
-    if how is not None and kind == "bent":
+    flat, fold = 1.0, 0.0
+    if kind == "bent":
         at, kink = length * how.uniform(-0.14, 0.14), math.radians(how.uniform(18.0, 40.0))
         way, soft = how.choice([-1.0, 1.0]), how.uniform(2.0, 6.0)
         y = y + way * math.tan(0.5 * kink) * (np.sqrt((x - at) ** 2 + soft**2) - soft)
         x = at + (x - at) * math.cos(0.5 * kink)
-    if how is not None and kind == "twisted":
-        turn = (
-            how.choice([-1.0, 1.0])
-            * math.radians(how.uniform(40.0, 80.0))
-            * (t - 0.5 + 0.06 * np.sin(2 * np.pi * t))
-        )
+    if kind == "twisted":
+        most = how.choice([-1.0, 1.0]) * math.radians(how.uniform(40.0, 80.0))
+        turn = most * (t - 0.5 + 0.06 * np.sin(2 * np.pi * t))
         flat = 0.88
-    if how is not None and kind == "folded":
+    if kind == "folded":
         fold = length * how.uniform(-0.18, 0.18)
         y = y + how.choice([-1.0, 1.0]) * how.uniform(3.0, 6.0) / (1.0 + np.exp(-(x - fold) / 2.2))
 
@@ -228,19 +217,14 @@ def _loft(
     faces = _tube(_STATIONS - 2, _AROUND)
     lump = np.concatenate([[0.0], np.repeat(taper[1:-1], _AROUND), [0.0]])
     bump = waves(points_mm) * lump
-    if end < 1.0:
-        near = np.clip(
-            (np.concatenate([[0.0], np.repeat(t[1:-1], _AROUND), [end]]) - (end - 8.0 / length))
-            * length
-            / 8.0,
-            0.0,
-            1.0,
-        )
-        ragged = _waves(how if how is not None else rng, (5.0, 11.0), 0.6)
+    if kind == "broken":
+        place = np.concatenate([[0.0], np.repeat(t[1:-1], _AROUND), [end]])
+        near = np.clip((place - (end - 8.0 / length)) * length / 8.0, 0.0, 1.0)
+        ragged = _waves(how, (5.0, 11.0), 0.6)
         points_mm[:, 0] += near**2 * np.clip(ragged(points_mm * [0.0, 1.0, 1.0]), -1.6, 1.6)
     points_mm = points_mm + bump[:, None] * normals_of(points_mm, faces)
-    if how is not None and kind in ("dented", "folded"):
-        points_mm = _pressed(points_mm, kind, how, length, width, height, locals().get("fold", 0.0))
+    if kind in ("dented", "folded"):
+        points_mm = _pressed(points_mm, kind, how, (length, width, height), fold)
     low = points_mm[:, 2].min()
     z = points_mm[:, 2] - low - ramp
     points_mm[:, 2] = 0.5 * (z + np.sqrt(z * z + 0.5**2))  # sags onto the belt, rounded over half a mm
@@ -248,15 +232,10 @@ def _loft(
 
 
 def _pressed(
-    points: Floats,
-    kind: str,
-    how: np.random.Generator,
-    length: float,
-    width: float,
-    height: float,
-    fold: float,
+    points: Floats, kind: str, how: np.random.Generator, size: tuple[float, float, float], fold: float
 ) -> Floats:
     """Press a dent, or the crease of a fold, into the upper side."""
+    length, width, height = size
     pressed = points.copy()
     upper = np.clip(points[:, 2] / (0.35 * height) + 0.3, 0.0, 1.0)
     if kind == "dented":
@@ -365,10 +344,7 @@ def stairs(steps: int, tread_mm: float, riser_mm: float, width_mm: float) -> Bod
         j = ring[(k + 1) % n]
         sides += [(i, j, n + j), (i, n + j, n + i)]
     ends = [(a, c, b) for a, b, c in flat] + [(n + a, n + b, n + c) for a, b, c in flat]
-    body = Body(points, np.array(sides + ends, dtype=np.int64), smooth=False)
-    return (
-        body if body.true_mm3 > 0 else Body(points, np.ascontiguousarray(body.faces[:, ::-1]), smooth=False)
-    )
+    return outwards(Body(points, np.array(sides + ends, dtype=np.int64), smooth=False))
 
 
 def from_file(rng: np.random.Generator, options: MeshOptions) -> Drawn:

@@ -22,16 +22,7 @@ from roemetry.records import Frame, ProductTruth, Role, Simulated, Truth
 from roemetry.records import Sensor as Noise
 from roemetry.stages import Simulator, Turn
 from roemetry_mitsuba.bodies import Body, mitsuba
-from roemetry_mitsuba.light import (
-    DOME_SHARE,
-    Lamps,
-    Lens,
-    Material,
-    Sensor,
-    Tracer,
-    diffraction_grain_px,
-    expose,
-)
+from roemetry_mitsuba.light import DOME_SHARE, Lamps, Lens, Material, Sensor, Tracer, expose
 from roemetry_mitsuba.materials import Dipole, dipole_of
 from roemetry_mitsuba.products import FAMILIES, MODELS, Drawn, block, stairs
 from roemetry_mitsuba.scene import Camera, Fan, MitsubaOptions, camera_of, fan_of
@@ -134,10 +125,8 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
             tilt = math.radians(part.tilt_max_deg) * (0.0 if number == 1 else rng.uniform(0.55, 1.0))
             way = 2.0 * math.pi * (number + rng.uniform(-0.3, 0.3)) * 0.381966  # all ways round, none twice
             spin = math.radians(rng.uniform(-20.0, 20.0)) + (math.pi if rng.random() < 0.25 else 0.0)
-            turn = _about(np.array([math.cos(way), math.sin(way), 0.0]), tilt) @ _about(
-                np.array([0.0, 0.0, 1.0]), spin
-            )
-            turn = turn @ np.diag([1.0, -1.0, -1.0])
+            tilted = _about(np.array([math.cos(way), math.sin(way), 0.0]), tilt)
+            turn = tilted @ _about(np.array([0.0, 0.0, 1.0]), spin) @ np.diag([1.0, -1.0, -1.0])
             lift = float(np.abs(turn[2, :2]) @ (0.5 * size + part.square_mm)) + part.thickness_mm + 0.3
             height = lift + float(rng.uniform(*part.height_mm))
             # a user lays the board where the laser meets it, and not twice at the same place
@@ -145,10 +134,8 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
             middle[:2] += rng.uniform(-4.0, 4.0, 2)
             poses[f"pose_{number:02d}"] = _pose(turn, middle - turn[:, :2] @ (0.5 * size))
         flat = _about(np.array([0.0, 0.0, 1.0]), math.radians(1.5)) @ np.diag([1.0, -1.0, -1.0])
-        poses[ON_BELT] = _pose(
-            flat,
-            np.array([self.fan.x_mm(0.0, 0.0).mean(), 0.0, part.thickness_mm]) - flat[:, :2] @ (0.5 * size),
-        )
+        middle = np.array([self.fan.x_mm(0.0, 0.0).mean(), 0.0, part.thickness_mm])
+        poses[ON_BELT] = _pose(flat, middle - flat[:, :2] @ (0.5 * size))
         return poses
 
     def turn_deg(self) -> Turn:
@@ -194,12 +181,12 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
     def _sensor(self) -> Sensor:
         camera, laser = self.options.camera, self.options.laser
         grain = laser.speckle_sigma_px
-        if grain is None:
+        if grain is None:  # that of diffraction at the aperture: λ N (1 + m) wide at half height
             f_number = 8.0 if camera.focus is None else camera.focus.f_number
-            grain = diffraction_grain_px(
-                laser.wavelength_nm, f_number, camera.focal_length_mm, camera.distance_mm,
-                camera.pixel_size_um,
-            )  # fmt: skip
+            focal_mm = camera.focal_length_mm
+            magnification = focal_mm / max(camera.distance_mm - focal_mm, 1.0)
+            width_um = 1e-3 * laser.wavelength_nm * f_number * (1.0 + magnification)
+            grain = width_um / camera.pixel_size_um / (2.0 * math.sqrt(2.0 * math.log(2.0)))
         return Sensor(
             camera.gain_dn_per_e, camera.read_noise_e * camera.gain_dn_per_e, camera.black_level_dn,
             camera.blur_sigma_px, math.inf if camera.full_well_e is None else camera.full_well_e,
@@ -214,9 +201,13 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         return Lens(focus.distance_mm, 0.5 * self.options.camera.focal_length_mm / focus.f_number)
 
     @cached_property
-    def _dipole(self) -> Dipole:
-        below = self.options.surface.below
-        return dipole_of(below.depth_mm, below.blur_mm)
+    def _below(self) -> tuple[Dipole, float] | None:
+        """Light from inside the products: its dipole and its share; None where there is none."""
+        surface = self.options.surface
+        below = surface.below
+        if below.share <= 0.0 or surface.metal != "none":
+            return None
+        return dipole_of(below.depth_mm, below.blur_mm), below.share
 
     def _lamps(self, role: Role) -> Lamps:
         light, grey = self.options.light, self._grey
@@ -230,14 +221,9 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         return replace(lamps, stray_grey=light.stray.e_per_ms * grey, stray_mm=at, stray_radius_mm=radius)
 
     def _item_frame(self, role: Role, bodies: list[Body], seed: int, number: int) -> Frame:
-        surface = self.options.surface
-        below = None
-        if surface.below.share > 0.0 and surface.metal == "none":
-            below = self._dipole, surface.below.share
         ground = self._belt_material(role, seed, clean=False)
-        pixels = self._take_image(
-            role, ground, bodies, self._product_material(role, bodies, seed), below, seed
-        )
+        material = self._product_material(role, bodies, seed)
+        pixels = self._take_image(role, ground, bodies, material, self._below, seed)
         belt = self.options.belt
         travel_mm = number * belt.pitch_mm
         return Frame(
@@ -254,9 +240,8 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         bodies = self.target_bodies(kind, name, seed)
         number = sum(name.encode()) + 1000 * ("block", "belt", "staircase", *BOARDS).index(kind)
         if kind in BOARDS:
-            material = _printed(
-                self.options.targets.board, kind, self.board_poses(seed)[name.rsplit("_", 1)[0]]
-            )
+            pose = self.board_poses(seed)[name.rsplit("_", 1)[0]]
+            material = _printed(self.options.targets.board, kind, pose)
         else:
             material = Material(np.full((2, 2), _WHITE), np.zeros((2, 4)))
         seed += 7919 * number

@@ -77,9 +77,7 @@ class _Found(NamedTuple):
 
     def at(self, which: NDArray[Any]) -> _Found:
         """Give some of them, by flags or in an order."""
-        return _Found(
-            self.stripe[which], self.row[which], self.x_px[which], self.points[which], self.face[which]
-        )
+        return _Found(*(column[which] for column in self))
 
 
 def crossings(camera: Camera, fan: Fan, bodies: Sequence[Body]) -> Crossings:

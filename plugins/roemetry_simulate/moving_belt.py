@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -27,16 +26,13 @@ from pydantic import Field, field_validator
 from roemetry.config.scene_parts import Part, family_options
 from roemetry.errors import MisfitError
 from roemetry.records import Frame, ProductTruth, Simulated, Truth
-from roemetry.records import Sensor as Noise
-from roemetry.stages import Simulator, Turn
 from roemetry_kernels.compiling import kernel
 from roemetry_simulate.optics import camera_ray
 from roemetry_simulate.products import MODELS, PRODUCTS, Drawn
 from roemetry_simulate.raycast import AnyBody, first_hit_in, normal_at, sees_in
-from roemetry_simulate.render import Rig
-from roemetry_simulate.scene import RayCasterLaser, RayCasterOptions, rig_of
+from roemetry_simulate.scene import RayCasterLaser, RayCasterOptions
 from roemetry_simulate.solid import EmptyBelt, Solid
-from roemetry_simulate.targets import calibration_truth_of, take_target
+from roemetry_simulate.targets import RigSimulator
 
 Floats = NDArray[np.float64]
 
@@ -85,7 +81,7 @@ class MovingBeltOptions(RayCasterOptions):
         return laser
 
 
-class MovingBelt(Simulator[MovingBeltOptions]):
+class MovingBelt(RigSimulator[MovingBeltOptions]):
     """Makes scans: frames one below the other in one tall image, with their counts."""
 
     Options = MovingBeltOptions
@@ -96,7 +92,7 @@ class MovingBelt(Simulator[MovingBeltOptions]):
         frames = [frame for _, _, frame in self.frames(drawn, seed + number)]
         counts, _ = self.belt(drawn, seed + number)
         tall = Frame(np.vstack(frames), bit_depth=self.options.camera.bit_depth, sensor=self.sensor())
-        truth = Truth((self._truth(drawn),))
+        truth = Truth((ProductTruth() if drawn is None else drawn.truth,))
         return Simulated((tall,), truth, counts=self.shown(counts))
 
     def drawn(self, number: int, seed: int) -> Drawn | None:
@@ -116,7 +112,7 @@ class MovingBelt(Simulator[MovingBeltOptions]):
         scan = self.options.scan
         extent = (-1.0, 1.0, -1.0, 1.0) if drawn is None else drawn.solid.footprint_extent_mm()
         low, high = extent[0] - scan.lead_mm, extent[1] + scan.lead_mm
-        feet = self._rig.laser.x_mm(0.0, 0.0)
+        feet = self.rig.laser.x_mm(0.0, 0.0)
         way = math.copysign(1.0, scan.mm_per_count[0])
         # the product's near end has to come to the first plane, its far end to pass the last
         begin, end = (
@@ -144,7 +140,7 @@ class MovingBelt(Simulator[MovingBeltOptions]):
     def crossings(self, drawn: Drawn | None, seed: int) -> Iterator[tuple[Floats, Floats]]:
         """Give of each line (stripe, row) where it shows, px, NaN nowhere, and how brightly, 0 to 1."""
         solid: Solid = EmptyBelt() if drawn is None else drawn.solid
-        body, camera, laser = solid.body(), self._rig.camera, self._rig.laser
+        body, camera, laser = solid.body(), self.rig.camera, self.rig.laser
         below_mm = self.options.scan.below_mm
         side, turn, place = 1.0, np.eye(3), np.zeros(3)
         if below_mm is not None:
@@ -164,55 +160,30 @@ class MovingBelt(Simulator[MovingBeltOptions]):
         import cv2
 
         rng = np.random.default_rng([seed, 89])
-        options, sensor = self.options, self._rig.sensor
+        options, sensor = self.options, self.rig.sensor
         white = 2**sensor.bit_depth - 1
-        grey = self._rig.laser.peak_grey * options.surface.albedo_laser
+        grey = self.rig.laser.peak_grey * options.surface.albedo_laser
         for x_px, bright in self.crossings(drawn, seed):
-            light = np.full((self._rig.camera.height_px, self._rig.camera.width_px), self._rig.ambient_grey)
+            light = np.full((self.rig.camera.height_px, self.rig.camera.width_px), self.rig.ambient_grey)
             _draw(x_px, bright * grey[:, None], options.scan.line_sigma_px, light)
             # along the line the lens blurs as well: no edge is sharper than it draws
             light = cv2.GaussianBlur(light, (1, _BLUR_ROWS), 0.0, sigmaY=sensor.psf_sigma_px)
             if sensor.speckle_contrast:
                 grain = 1.0 + sensor.speckle_contrast * rng.standard_normal(light.shape)
-                light = np.maximum(light + (light - self._rig.ambient_grey) * (grain - 1.0), 0.0)
+                light = np.maximum(light + (light - self.rig.ambient_grey) * (grain - 1.0), 0.0)
             # shot noise of many electrons and the read noise are one normal number
             spread = np.sqrt(light * sensor.grey_per_electron + sensor.read_noise_grey**2)
             seen = light + sensor.black_level_grey + spread * rng.standard_normal(light.shape)
             kind = np.uint8 if sensor.bit_depth <= 8 else np.uint16
             yield x_px, bright, np.clip(np.floor(seen + 0.5), 0, white).astype(kind)
 
-    def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
-        """Give the images that the ray caster makes of the still targets."""
-        return self.options.targets.views(partial(take_target, self.options, self._rig, seed))
-
-    def turn_deg(self) -> Turn:
-        """Give the turn that rights its images: none."""
-        return 0
-
-    def sensor(self) -> Noise:
-        """Give the noise of the scene's camera."""
-        return Noise(self._rig.sensor.grey_per_electron, self._rig.sensor.read_noise_grey)
-
     def calibration_truth(self, seed: int) -> Mapping[str, Any]:
         """Give the true rig, where each target lay, and how the belt runs."""
         along, across = self.options.scan.mm_per_count
         return {
-            **calibration_truth_of(self.options, self._rig, seed),
+            **super().calibration_truth(seed),
             "mm_per_count": [along, across if self.options.scan.below_mm is None else -across, 0.0],
         }
-
-    @property
-    def rig(self) -> Rig:
-        """The rig that the scene describes."""
-        return self._rig
-
-    @cached_property
-    def _rig(self) -> Rig:
-        return rig_of(self.options)
-
-    @staticmethod
-    def _truth(drawn: Drawn | None) -> ProductTruth:
-        return ProductTruth() if drawn is None else drawn.truth
 
 
 @kernel

@@ -37,20 +37,14 @@ _EDGE_STEPS = 33
 class Camera:
     """A pinhole camera whose lens may distort.
 
-    Attributes
-    ----------
-    width_px, height_px : int
-        Image size.
-    pixel_size_mm : float
-        Pitch of the square pixels on the sensor.
-    focal_length_mm : float
-        Distance from the pinhole to the sensor.
-    T_belt_camera : ndarray, shape (4, 4)
-        Pose "to belt from camera", millimetres. Camera axes: x right, y down, z forward.
-    principal_point_px : tuple of float or None
-        Where the optical axis meets the image; None is the image centre ((w - 1)/2, (h - 1)/2).
-    distortion : tuple of float
-        k1, k2, p1, p2, k3 of OpenCV's model; all zero is a perfect lens.
+    - `width_px`, `height_px`: Image size.
+    - `pixel_size_mm`: Pitch of the square pixels on the sensor.
+    - `focal_length_mm`: Distance from the pinhole to the sensor.
+    - `T_belt_camera`, shape (4, 4): Pose "to belt from camera", millimetres. Camera axes: x right, y down, z
+      forward.
+    - `principal_point_px`: Where the optical axis meets the image; None is the image centre ((w - 1)/2, (h -
+      1)/2).
+    - `distortion`: k1, k2, p1, p2, k3 of OpenCV's model; all zero is a perfect lens.
     """
 
     width_px: int
@@ -102,20 +96,8 @@ class Camera:
 
     def packed(self) -> Floats:
         """Return what the kernels take: pinhole, principal point, focal length (px), 1 or 0, lens (8,)."""
-        flag = 1.0 if self.distorts else 0.0
-        return np.array(
-            [
-                *self.centre_mm,
-                *self.principal_px,
-                self.focal_length_px,
-                flag,
-                *self.distortion,
-                0.0,
-                0.0,
-                0.0,
-            ],
-            dtype=np.float64,
-        )
+        lens = [float(self.distorts), *self.distortion, 0.0, 0.0, 0.0]
+        return np.array([*self.centre_mm, *self.principal_px, self.focal_length_px, *lens])
 
     def ray(self, x_px: ArrayLike, y_px: ArrayLike) -> Floats:
         """Unit directions in the belt frame, S + (3,), of the rays through image points (px) of shape S."""
@@ -142,15 +124,9 @@ class Camera:
 
 
 def looking_down(
-    width_px: int,
-    height_px: int,
-    *,
-    pixel_size_mm: float,
-    focal_length_mm: float,
-    distance_mm: float,
-    tilt_x_deg: float = 0.0,
-    tilt_y_deg: float = 0.0,
-) -> Camera:
+    width_px: int, height_px: int, *, pixel_size_mm: float, focal_length_mm: float, distance_mm: float,
+    tilt_x_deg: float = 0.0, tilt_y_deg: float = 0.0,
+) -> Camera:  # fmt: skip
     """Return a camera above the belt whose optical axis meets the belt at the origin.
 
     The tilts turn it about its own x axis, then about its own y axis; zero looks straight down, with image
@@ -171,31 +147,22 @@ def looking_down(
 class LaserFan:
     """N planes of light through one projector point.
 
-    Attributes
-    ----------
-    projector_mm : ndarray, shape (3,)
-        Where the light comes from, belt frame, millimetres.
-    normals : ndarray, shape (N, 3)
-        Unit normals n of the planes n·X = d in the belt frame, stripes ordered along belt X.
-    offsets_mm : ndarray, shape (N,)
-        Their d, millimetres.
-    line_axis : ndarray, shape (3,)
-        Unit direction which all planes share (the lines' run), belt frame.
-    sigma_mm : float
-        Standard deviation of the light's Gaussian profile across a plane, where it is thinnest.
-    peak_grey : ndarray, shape (N,)
-        Grey levels in a plane's middle on a white (albedo 1) surface that faces the projector.
-    line_sigma_deg : float
-        Gaussian fall of the power with the angle along the line.
-    waist_distance_mm, divergence_mrad : float
-        Where the planes are thinnest, from the projector, and how the standard deviation grows away from
-        there: sqrt(sigma² + (divergence · (distance − waist))²). A plane that is wider is less bright.
-    rows : ndarray, shape (M, 5)
-        Planes n·X = d across the others, (n, d, 1), ordered along belt Y. Where there are any, light is a dot
-        where two planes meet, the product of both profiles; (0, 5): the light is lines.
-    across : LaserFan or None
-        The second family of a grid, whose light adds to this one's; ordered against belt Y, as the image
-        turned by 90° counter-clockwise shows it from left to right.
+    - `projector_mm`, shape (3,): Where the light comes from, belt frame, millimetres.
+    - `normals`, shape (N, 3): Unit normals n of the planes n·X = d in the belt frame, stripes ordered along
+      belt X.
+    - `offsets_mm`, shape (N,): Their d, millimetres.
+    - `line_axis`, shape (3,): Unit direction which all planes share (the lines' run), belt frame.
+    - `sigma_mm`: Standard deviation of the light's Gaussian profile across a plane, where it is thinnest.
+    - `peak_grey`, shape (N,): Grey levels in a plane's middle on a white (albedo 1) surface that faces the
+      projector.
+    - `line_sigma_deg`: Gaussian fall of the power with the angle along the line.
+    - `waist_distance_mm`, `divergence_mrad`: Where the planes are thinnest, from the projector, and how the
+      standard deviation grows away from there: sqrt(sigma² + (divergence · (distance − waist))²). A plane
+      that is wider is less bright.
+    - `rows`, shape (M, 5): Planes n·X = d across the others, (n, d, 1), ordered along belt Y. Where there are
+      any, light is a dot where two planes meet, the product of both profiles; (0, 5): the light is lines.
+    - `across`: The second family of a grid, whose light adds to this one's; ordered against belt Y, as the
+      image turned by 90° counter-clockwise shows it from left to right.
     """
 
     projector_mm: Floats
@@ -223,14 +190,8 @@ class LaserFan:
 
     def packed(self) -> Floats:
         """Return what the kernels take: waist (mm), fall (rad), its distance (mm), divergence (rad)."""
-        return np.array(
-            [
-                self.sigma_mm,
-                np.deg2rad(self.line_sigma_deg),
-                self.waist_distance_mm,
-                1e-3 * self.divergence_mrad,
-            ]
-        )
+        fall, grows = np.deg2rad(self.line_sigma_deg), 1e-3 * self.divergence_mrad
+        return np.array([self.sigma_mm, fall, self.waist_distance_mm, grows])
 
     @property
     def count(self) -> int:
@@ -258,15 +219,9 @@ class LaserFan:
 
 
 def fan_through(
-    projector_mm: ArrayLike,
-    belt_x_mm: ArrayLike,
-    *,
-    yaw_deg: float = 0.0,
-    pitch_deg: float = 0.0,
-    sigma_mm: float,
-    peak_grey: ArrayLike,
-    line_sigma_deg: float = 25.0,
-) -> LaserFan:
+    projector_mm: ArrayLike, belt_x_mm: ArrayLike, *, yaw_deg: float = 0.0, pitch_deg: float = 0.0,
+    sigma_mm: float, peak_grey: ArrayLike, line_sigma_deg: float = 25.0,
+) -> LaserFan:  # fmt: skip
     """Return the fan whose planes meet the belt's X axis at given places, increasing.
 
     The yaw turns the lines about Z, counter-clockwise seen from above (0 is parallel to Y), the pitch lifts
@@ -304,16 +259,10 @@ def with_across(fan: LaserFan, feet_mm: ArrayLike) -> LaserFan:
     # normals point the way in which the planes are ordered, as those of the fan itself do
     planes = -rows_through(fan, np.sort(np.atleast_1d(feet_mm))[::-1])
     axis = np.array([fan.line_axis[1], -fan.line_axis[0], 0.0])
-    return replace(
-        fan,
-        across=replace(
-            fan,
-            normals=planes[:, :3],
-            offsets_mm=planes[:, 3],
-            line_axis=axis / np.linalg.norm(axis),
-            peak_grey=np.full(len(planes), float(np.mean(fan.peak_grey))),
-        ),
-    )
+    axis /= np.linalg.norm(axis)
+    grey = np.full(len(planes), float(np.mean(fan.peak_grey)))
+    across = replace(fan, normals=planes[:, :3], offsets_mm=planes[:, 3], line_axis=axis, peak_grey=grey)
+    return replace(fan, across=across)
 
 
 def turned(camera: Camera) -> Camera:
@@ -321,15 +270,9 @@ def turned(camera: Camera) -> Camera:
     (cx, cy), (k1, k2, p1, p2, k3) = camera.principal_px.tolist(), camera.distortion
     pose = camera.T_belt_camera.copy()
     pose[:3, :3] = np.column_stack([pose[:3, 1], -pose[:3, 0], pose[:3, 2]])
-    return Camera(
-        camera.height_px,
-        camera.width_px,
-        camera.pixel_size_mm,
-        camera.focal_length_mm,
-        pose,
-        (cy, camera.width_px - 1.0 - cx),
-        (k1, k2, -p2, p1, k3),
-    )
+    middle, lens = (cy, camera.width_px - 1.0 - cx), (k1, k2, -p2, p1, k3)
+    sensor = camera.height_px, camera.width_px, camera.pixel_size_mm
+    return Camera(*sensor, camera.focal_length_mm, pose, middle, lens)
 
 
 def view_mm(camera: Camera, height_mm: float = 0.0) -> tuple[float, float, float, float]:

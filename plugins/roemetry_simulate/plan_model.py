@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from roemetry_simulate.optics import Camera, Focus, LaserFan, blur_sigma_px
+from roemetry_simulate.optics import Camera, LaserFan, blur_sigma_px
 from roemetry_simulate.render import Rig, Sensor
 
 Floats = NDArray[np.float64]
@@ -30,14 +30,12 @@ _RANGE_STEPS = 4001
 class Scale:
     """How belt-frame millimetres become pixels at points of one shape S.
 
-    Attributes
-    ----------
-    x_mm_per_px, y_mm_per_px : ndarray, shape S
-        On a level surface, for one pixel along the image row and along the column, mm.
-    height_px_per_mm : ndarray, shape S
-        Displacement of the stripe along its image row for one millimetre of height; signed.
-    across_mm_per_px : ndarray, shape S
-        Distance from the light plane, along its normal, for one pixel along the row on a level surface, mm.
+    - `x_mm_per_px`, `y_mm_per_px`, shape S: On a level surface, for one pixel along the image row and along
+      the column, mm.
+    - `height_px_per_mm`, shape S: Displacement of the stripe along its image row for one millimetre of
+      height; signed.
+    - `across_mm_per_px`, shape S: Distance from the light plane, along its normal, for one pixel along the
+      row on a level surface, mm.
     """
 
     x_mm_per_px: Floats
@@ -183,16 +181,10 @@ _WIDEST_PX = 100.0
 class Stripe:
     """A stripe on a level surface as its image row has it.
 
-    Attributes
-    ----------
-    peak_grey : float
-        Light in its middle before any blur, grey levels.
-    line_sigma_px : float
-        Standard deviation of the light's profile on the sensor before any blur.
-    defocus_sigma_px : float
-        Blur of the lens at this depth.
-    background_grey : float
-        Light beside it.
+    - `peak_grey`: Light in its middle before any blur, grey levels.
+    - `line_sigma_px`: Standard deviation of the light's profile on the sensor before any blur.
+    - `defocus_sigma_px`: Blur of the lens at this depth.
+    - `background_grey`: Light beside it.
     """
 
     peak_grey: float
@@ -209,18 +201,11 @@ class Stripe:
 class PeakStd:
     """Standard uncertainties of a stripe's place in one row, px.
 
-    Attributes
-    ----------
-    bound_px : float
-        Cramér-Rao bound with shot noise, read noise, rounding and speckle.
-    noise_bound_px : float
-        The same without speckle.
-    centre_of_gravity_px : float
-        Of the centre of gravity, all of that counted.
-    peak_grey : float
-        Highest grey level of the mean image, black level counted.
-    is_saturated : bool
-        Whether the sensor's white or its full well cuts the stripe.
+    - `bound_px`: Cramér-Rao bound with shot noise, read noise, rounding and speckle.
+    - `noise_bound_px`: The same without speckle.
+    - `centre_of_gravity_px`: Of the centre of gravity, all of that counted.
+    - `peak_grey`: Highest grey level of the mean image, black level counted.
+    - `is_saturated`: Whether the sensor's white or its full well cuts the stripe.
     """
 
     bound_px: float
@@ -314,18 +299,19 @@ def peak_std(stripe: Stripe, sensor: Sensor, phase_px: float = 0.2) -> PeakStd:
     )
 
 
-def speckle_limit_px(
-    focus: Focus, *, focal_length_mm: float, pixel_size_mm: float, wavelength_nm: float, contrast: float
-) -> float:
-    """Return the speckle limit of a stripe's place.
+def speckle_limit_px(rig: Rig, wavelength_nm: float, contrast: float) -> float:
+    """Return the speckle limit of a stripe's place; NaN where the scene gives no aperture.
 
     contrast · λ / (2π sin u), in the image, with sin u = 1 / (2 N (1 + magnification)) for the f-number N
     (Dorsch, Häusler, Herrmann 1994). For a line as fine as the lens resolves; a wider one does worse, and
     averaging along the line is not counted.
     """
-    magnification = focal_length_mm / (focus.distance_mm - focal_length_mm)
-    sine = 1.0 / (2.0 * focus.f_number * (1.0 + magnification))
-    return contrast * 1e-6 * wavelength_nm / (2.0 * math.pi * sine) / pixel_size_mm
+    if rig.focus is None:
+        return math.nan
+    focal_mm = rig.camera.focal_length_mm
+    magnification = focal_mm / (rig.focus.distance_mm - focal_mm)
+    sine = 1.0 / (2.0 * rig.focus.f_number * (1.0 + magnification))
+    return contrast * 1e-6 * wavelength_nm / (2.0 * math.pi * sine) / rig.camera.pixel_size_mm
 
 
 def _profile(at: Floats, sigma: float) -> tuple[Floats, Floats, Floats]:

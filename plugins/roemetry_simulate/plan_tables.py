@@ -42,16 +42,11 @@ _TO_BORDER = 0.9
 class Space:
     """A rig, and over which Y and heights it is planned.
 
-    Attributes
-    ----------
-    rig : Rig
-        The rig.
-    albedo : float
-        Of the product, in the laser's light.
-    speckle_limit_px : float
-        Below which speckle lets no stripe's place be known; NaN where the scene gives no aperture.
-    product_mm : float
-        Height of the scene's highest product; NaN where there is none.
+    - `rig`: The rig.
+    - `albedo`: Of the product, in the laser's light.
+    - `speckle_limit_px`: Below which speckle lets no stripe's place be known; NaN where the scene gives no
+      aperture.
+    - `product_mm`: Height of the scene's highest product; NaN where there is none.
     """
 
     rig: Rig
@@ -136,41 +131,25 @@ class Space:
             "On a level, matt surface of the product's albedo; for a plane of mean power through each place. "
             f"{worst}"
         )
+        inverse = (
+            "Inverse of the displacement of a stripe along its row for a height: central differences of the "
+            f"camera's full model within the light plane. {worst}"
+        )
+        best = (
+            "Cramér-Rao bound of the stripe's place in one row (shot noise, read noise, rounding, speckle), "
+            "at least the speckle limit of the lens where the aperture is known, times height per pixel. "
+            f"{flat}"
+        )
+        centre = (
+            "The same noise through a centre of gravity over ± 3 standard deviations of the stripe, in whole "
+            f"pixels: hence the steps. {flat}"
+        )
+        std = "Standard uncertainty"
+        title = "Height for one pixel of displacement"
         return (
-            PlanMap(
-                "height-per-px",
-                "Height for one pixel of displacement",
-                "mm/px",
-                x,
-                z,
-                per_px,
-                "Inverse of the displacement of a stripe along its row for a height: central differences "
-                f"of the camera's full model within the light plane. {worst}",
-                3,
-            ),
-            PlanMap(
-                "height-std-bound",
-                "Standard uncertainty, best possible",
-                "µm",
-                x,
-                z,
-                bound,
-                "Cramér-Rao bound of the stripe's place in one row (shot noise, read noise, rounding, "
-                "speckle), at least the speckle limit of the lens where the aperture is known, times height "
-                f"per pixel. {flat}",
-                0,
-            ),
-            PlanMap(
-                "height-std-gravity",
-                "Standard uncertainty, centre of gravity",
-                "µm",
-                x,
-                z,
-                gravity,
-                "The same noise through a centre of gravity over ± 3 standard deviations of the stripe, in "
-                f"whole pixels: hence the steps. {flat}",
-                0,
-            ),
+            PlanMap("height-per-px", title, "mm/px", x, z, per_px, inverse, 3),
+            PlanMap("height-std-bound", f"{std}, best possible", "µm", x, z, bound, best, 0),
+            PlanMap("height-std-gravity", f"{std}, centre of gravity", "µm", x, z, gravity, centre, 0),
         )
 
 
@@ -217,6 +196,16 @@ def ellipsoid(length_mm: float) -> Bodies:
     t = (np.arange(2000) + 0.5) / 1000.0 - 1.0
     areas = np.asarray(1.0 - t[None] ** 2, np.float64)
     return Bodies(length_mm, math.nan, math.nan, math.nan, np.array([length_mm]), areas)
+
+
+def tables_and_curves(space: Space, bodies: Bodies | None) -> tuple[list[PlanTable], list[PlanCurves]]:
+    """Return all of a plan's, but the simulated ones."""
+    tables, curves = [stripe_geometry(space), stripe_light(space), stripe_slopes(space)], []
+    if space.rig.laser.count > 1:
+        more, error, price = numbers(space, bodies)
+        tables += [products(space), more]
+        curves += [error, price, over_x(space)]
+    return tables, curves + focus_over_height(space)
 
 
 def stripe_geometry(space: Space) -> PlanTable:
@@ -320,11 +309,7 @@ def numbers(space: Space, bodies: Bodies | None) -> tuple[PlanTable, PlanCurves,
     length = mean_spacing_mm(space) * rig.laser.count
     spacing = length / NUMBERS
     middle = np.full(NUMBERS.size, float(rig.laser.x_mm(space.y_mm, 0.0).mean()))
-    either = [
-        meeting_height_mm(rig.camera, rig.laser, middle, middle + way * spacing, space.y_mm)
-        for way in (1.0, -1.0)
-    ]
-    height = np.fmin(*either)
+    height = _neighbour_height_mm(space, middle, spacing)
     over = PlanColumn("number", "stripes over the length", "1", NUMBERS.astype(np.float64), 0)
     gap = PlanColumn("spacing", "spacing", "mm", spacing, 2)
     price = PlanColumn("spacing-height", "unambiguous height range", "mm", height, 2)
@@ -354,32 +339,31 @@ def numbers(space: Space, bodies: Bodies | None) -> tuple[PlanTable, PlanCurves,
 
 def over_x(space: Space) -> PlanCurves:
     """Return the unambiguous height range over X."""
-    rig, spacing = space.rig, mean_spacing_mm(space)
-    feet = rig.laser.x_mm(space.y_mm, 0.0)
+    spacing, feet = mean_spacing_mm(space), space.feet_mm[:, 0]
     x = np.linspace(float(feet.min()), float(feet.max()), 41)
-    ways = [meeting_height_mm(rig.camera, rig.laser, x, x + way * spacing, space.y_mm) for way in (1.0, -1.0)]
-    return PlanCurves(
-        "spacing-height",
-        "Unambiguous height range over X",
-        PlanColumn("x", "X on the belt", "mm", x),
-        (PlanColumn("height", "height", "mm", np.fmin(*ways), 2),),
-        f"For stripes {spacing:.2f} mm apart everywhere; the table has each stripe's own.",
-    )
+    height = PlanColumn("height", "height", "mm", _neighbour_height_mm(space, x, spacing), 2)
+    basis = f"For stripes {spacing:.2f} mm apart everywhere; the table has each stripe's own."
+    over = PlanColumn("x", "X on the belt", "mm", x)
+    return PlanCurves("spacing-height", "Unambiguous height range over X", over, (height,), basis)
 
 
-def focus_over_height(space: Space) -> PlanCurves | None:
-    """Return the lens's blur over height; None where the scene gives no aperture."""
+def _neighbour_height_mm(space: Space, x_mm: Floats, spacing_mm: Floats | float) -> Floats:
+    """Height at which a stripe at X appears at its nearer neighbour's place on the belt, on either side."""
+    camera, fan = space.rig.camera, space.rig.laser
+    ways = [meeting_height_mm(camera, fan, x_mm, x_mm + way * spacing_mm, space.y_mm) for way in (1.0, -1.0)]
+    return np.asarray(np.fmin(*ways))
+
+
+def focus_over_height(space: Space) -> list[PlanCurves]:
+    """Return the lens's blur over height; nothing where the scene gives no aperture."""
     if space.rig.focus is None:
-        return None
+        return []
     z = np.linspace(0.0, space.top_mm, 41)
     middle = plane_points(space.rig.laser, space.y_mm, z)[:, space.rig.laser.count // 2]
-    return PlanCurves(
-        "defocus",
-        "Blur of the lens over height",
-        PlanColumn("z", "height", "mm", z),
-        (PlanColumn("sigma", "standard deviation", "px", defocus_px(space.rig, middle), 3),),
-        "A quarter of the thin lens's circle of confusion, at the middle stripe.",
-    )
+    sigma = PlanColumn("sigma", "standard deviation", "px", defocus_px(space.rig, middle), 3)
+    basis = "A quarter of the thin lens's circle of confusion, at the middle stripe."
+    over = PlanColumn("z", "height", "mm", z)
+    return [PlanCurves("defocus", "Blur of the lens over height", over, (sigma,), basis)]
 
 
 def mean_spacing_mm(space: Space) -> float:

@@ -19,7 +19,7 @@ Assumed: level light, an albedo as the scene's, no contact between products.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -92,45 +92,18 @@ class RigPlanner(Planner[RayCasterOptions]):
         answer = None
         if bodies is not None and space.rig.laser.count > 1:
             space = replace(space, product_mm=bodies.height_mm)
-            answer = answer_of(self.options, space, bodies, space_of)
-        tables = [
-            plan_tables.stripe_geometry(space),
-            plan_tables.stripe_light(space),
-            plan_tables.stripe_slopes(space),
-        ]
-        curves = []
-        if space.rig.laser.count > 1:
-            more, error, price = plan_tables.numbers(space, bodies)
-            tables += [plan_tables.products(space), more]
-            curves += [error, price, plan_tables.over_x(space)]
-        focus = plan_tables.focus_over_height(space)
-        if focus is not None:
-            curves.append(focus)
+            answer = answer_of(self.options, space, bodies)
+        tables, curves = plan_tables.tables_and_curves(space, bodies)
         if simulate:
             tables.append(_check_table(space))
-        return Plan(
-            _figures(self.options, space),
-            space.maps(),
-            tuple(tables),
-            tuple(curves),
-            _sketch(space),
-            tuple(_reasons(self.options, space)),
-            answer,
-        )
+        figures, reasons = _figures(self.options, space), tuple(_reasons(self.options, space))
+        return Plan(figures, space.maps(), tuple(tables), tuple(curves), _sketch(space), reasons, answer)
 
 
 def space_of(scene: RayCasterOptions) -> Space:
     """Return what a scene's plan is made over."""
     rig = rig_of(scene)
-    limit = np.nan
-    if rig.focus is not None:
-        limit = speckle_limit_px(
-            rig.focus,
-            focal_length_mm=scene.camera.focal_length_mm,
-            pixel_size_mm=1e-3 * scene.camera.pixel_size_um,
-            wavelength_nm=scene.laser.wavelength_nm,
-            contrast=scene.laser.speckle_contrast,
-        )
+    limit = speckle_limit_px(rig, scene.laser.wavelength_nm, scene.laser.speckle_contrast)
     return Space(rig, scene.surface.albedo_laser, limit)
 
 
@@ -274,53 +247,34 @@ def _reasons(scene: RayCasterOptions, space: Space) -> list[Reason]:
     widths = [stripe.width_px(rig.sensor) for stripe in stripes]
     apart = np.abs(np.diff(rig.camera.project(space.feet_mm)[:, 0]))
     level = f"on a level surface of the product's albedo ({space.albedo:g}) at belt height"
-    found = []
-    if out:
-        where = f"not in the image on the belt at Y = {space.y_mm:.1f} mm"
-        found.append(Reason("stripe-out-of-view", f"stripe {', '.join(out)}: {where}"))
-    if rig.focus is None:
-        text = (
-            "depth of field and speckle limit: the scene gives no aperture; set "
-            "simulator.options.camera.focus.distance_mm and .f_number"
-        )
-        found.append(Reason("depth-of-field", text))
-    if rig.laser.count == 1:
-        text = "one plane: there is no neighbour to take it for, and the slices come from the belt's travel"
-        found.append(Reason("spacing-height", text))
-    if cut:
-        found.append(Reason("saturated", f"stripe {', '.join(cut)}: saturated {level}"))
-    if dark:
-        text = (
-            f"stripe {', '.join(dark)}: dead, or less than {_SEEN_SIGMAS:g} times the noise above its "
-            f"background {level}, somewhere in view"
-        )
-        found.append(Reason("dark-stripe", text))
-    if scene.laser.speckle_contrast > _MOST_CONTRAST:
-        text = (
-            f"speckle of contrast {scene.laser.speckle_contrast:g}: the nearer to fully developed (1), "
-            "the less it is noise about a mean; the stated uncertainties hold up to a contrast of "
-            f"{_MOST_CONTRAST:g}"
-        )
-        found.append(Reason("speckle", text))
-    if min(widths) < _NARROW_PX:
-        text = (
-            f"the thinnest stripe has a standard deviation of {min(widths):.2f} px: below "
-            f"{_NARROW_PX:g} px the place within the pixel shows as a systematic error that is not counted"
-        )
-        found.append(Reason("narrow", text))
-    if apart.size and float(apart.min()) < 2.0 * WINDOW_SIGMAS * max(widths):
-        text = (
-            f"stripes come as near as {apart.min():.1f} px at a standard deviation of {max(widths):.1f} px: "
-            "they overlap, and the uncertainties of single stripes do not hold"
-        )
-        found.append(Reason("crowded", text))
-    if scene.surface.gloss > 0.0 or scene.surface.below.share > 0.0:
-        text = (
-            "uncertainties are those of a matt surface: gloss and light from below the "
-            "surface, which the scene has, are not counted"
-        )
-        found.append(Reason("matt", text))
-    return found
+    speckle = scene.laser.speckle_contrast
+    crowded = bool(apart.size) and float(apart.min()) < 2.0 * WINDOW_SIGMAS * max(widths)
+    said = {
+        "stripe-out-of-view": bool(out)
+        and f"stripe {', '.join(out)}: not in the image on the belt at Y = {space.y_mm:.1f} mm",
+        "depth-of-field": rig.focus is None
+        and "depth of field and speckle limit: the scene gives no aperture; set "
+        "simulator.options.camera.focus.distance_mm and .f_number",
+        "spacing-height": rig.laser.count == 1
+        and "one plane: there is no neighbour to take it for, and the slices come from the belt's travel",
+        "saturated": bool(cut) and f"stripe {', '.join(cut)}: saturated {level}",
+        "dark-stripe": bool(dark)
+        and f"stripe {', '.join(dark)}: dead, or less than {_SEEN_SIGMAS:g} times the noise above its "
+        f"background {level}, somewhere in view",
+        "speckle": speckle > _MOST_CONTRAST
+        and f"speckle of contrast {speckle:g}: the nearer to fully developed (1), the less it is noise about "
+        f"a mean; the stated uncertainties hold up to a contrast of {_MOST_CONTRAST:g}",
+        "narrow": min(widths) < _NARROW_PX
+        and f"the thinnest stripe has a standard deviation of {min(widths):.2f} px: below {_NARROW_PX:g} px "
+        "the place within the pixel shows as a systematic error that is not counted",
+        "crowded": crowded
+        and f"stripes come as near as {apart.min():.1f} px at a standard deviation of {max(widths):.1f} px: "
+        "they overlap, and the uncertainties of single stripes do not hold",
+        "matt": (scene.surface.gloss > 0.0 or scene.surface.below.share > 0.0)
+        and "uncertainties are those of a matt surface: gloss and light from below the surface, which the "
+        "scene has, are not counted",
+    }
+    return [Reason(code, text) for code, text in said.items() if text]
 
 
 def _sketch(space: Space) -> tuple[PlanShape, ...]:
@@ -529,9 +483,7 @@ def _sections(solid: Solid, count: int = 200) -> tuple[tuple[float, float, float
     return (x_max - x_min, y_max - y_min, float(heights.max()), mean), areas
 
 
-def answer_of(
-    scene: RayCasterOptions, space: Space, bodies: Bodies, space_of: Callable[[RayCasterOptions], Space]
-) -> PlanAnswer:
+def answer_of(scene: RayCasterOptions, space: Space, bodies: Bodies) -> PlanAnswer:
     """Say whether the rig measures the products, how well, what limits it, and what would be better."""
     faults = list(_faults(space, bodies))
     has_outline = "plain" in scene.light.images
@@ -539,7 +491,7 @@ def answer_of(
     total = math.hypot(*causes.values())
     weight = math.hypot(total, UNDERSIDE_PCT)
     limiting = faults[0] if faults else max(causes, key=causes.__getitem__)
-    rigs = _other_rigs(scene, space, bodies, space_of)
+    rigs = _other_rigs(scene, space, bodies)
     now = angle_deg(space)
     good = min((one for one in rigs if one.angle_deg >= min(now - 0.5, _SMALL_DEG)), default=None)
     changes = []
@@ -616,9 +568,7 @@ class _Proposal(NamedTuple):
         )
 
 
-def _other_rigs(
-    scene: RayCasterOptions, space: Space, bodies: Bodies, space_of: Callable[[RayCasterOptions], Space]
-) -> list[_Proposal]:
+def _other_rigs(scene: RayCasterOptions, space: Space, bodies: Bodies) -> list[_Proposal]:
     """Try other numbers of stripes, each with the projector as far aside as the product allows."""
     laser, camera = scene.laser, space.rig.camera
     across = max(mean_spacing_mm(space) * (space.rig.laser.count - 1), 1.1 * bodies.length_mm)

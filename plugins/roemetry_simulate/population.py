@@ -13,9 +13,8 @@ from roemetry.config.scene_parts import NONE, ProductPart, family_options
 from roemetry.errors import StageError
 from roemetry_simulate.optics import view_mm
 from roemetry_simulate.products import MODELS, PRODUCTS, Drawn
-from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.mesh import MeshSolid
-from roemetry_simulate.products.parts import PartsSolid, box, placed
+from roemetry_simulate.products.parts import PartsSolid
 from roemetry_simulate.render import Rig
 from roemetry_simulate.solid import (
     FIELDS,
@@ -60,15 +59,7 @@ def draw_item(part: ProductPart, rig: Rig, number: int, seed: int) -> ItemProduc
     name = f"item {number + 1}, {part.family} of seed {item_seed}"
     if part.in_frame > 1:
         drawn = [family.draw(item_seed + _NEXT_IN_FRAME * k, options) for k in range(part.in_frame)]
-        laid = side_by_side(
-            drawn,
-            rig,
-            gap_mm=part.gap_mm,
-            most_overhang_spacings=part.most_overhang_spacings,
-            seed=item_seed,
-            name=name,
-        )
-        return ItemProducts(item_seed, laid)
+        return ItemProducts(item_seed, side_by_side(drawn, rig, part, item_seed, name))
     one = family.draw(item_seed, options)
     if part.keep_in_reach:
         one = in_reach(one, rig, part.most_overhang_spacings)
@@ -88,13 +79,13 @@ def in_reach(drawn: Drawn, rig: Rig, most_overhang_spacings: float) -> Drawn:
     need be; one that is too long is moved as far as it helps.
     """
     x_min, x_max, y_min, y_max = drawn.solid.footprint_extent_mm()
-    height_mm = 0.25 * _top_mm(drawn.solid)
+    height_mm = 0.25 * drawn.solid.body().top_mm
+    low, high, _, _ = view_mm(rig.camera, height_mm)
+    low, high = low + _MARGIN_MM, high - _MARGIN_MM
     fan = np.sort(rig.laser.x_mm(0.5 * (y_min + y_max), height_mm))
-    spacing_mm = float(np.diff(fan).mean()) if fan.size > 1 else 0.0
-    low, high, _, _ = _view_at(rig, height_mm)
     if fan.size > 1:
-        low = max(low, float(fan[0]) - most_overhang_spacings * spacing_mm)
-        high = min(high, float(fan[-1]) + most_overhang_spacings * spacing_mm)
+        beyond_mm = most_overhang_spacings * float(np.diff(fan).mean())
+        low, high = max(low, float(fan[0]) - beyond_mm), min(high, float(fan[-1]) + beyond_mm)
     shift_mm = max(low - x_min, 0.0) + min(high - x_max, 0.0)
     return drawn if shift_mm == 0.0 else moved_to(drawn, shift_mm, 0.0)
 
@@ -116,7 +107,7 @@ def moved_to(drawn: Drawn, x_mm: float, y_mm: float) -> Drawn:
 
 def check_in_view(drawn: Drawn, rig: Rig, name: str) -> None:
     """Raise StageError, with sizes, for a product that reaches out of the view or up to the camera."""
-    top_mm = _top_mm(drawn.solid)
+    top_mm = drawn.solid.body().top_mm
     lowest_mm = min(float(rig.camera.centre_mm[2]), float(rig.laser.projector_mm[2]))
     if top_mm >= lowest_mm:
         raise StageError(
@@ -171,15 +162,6 @@ _MOVES: dict[type[Any], Callable[[Any, float, float], Solid]] = {
 }
 
 
-def _top_mm(solid: Solid) -> float:
-    return float(solid.body().top_mm)
-
-
-def _view_at(rig: Rig, height_mm: float) -> tuple[float, float, float, float]:
-    x_min, x_max, y_min, y_max = view_mm(rig.camera, height_mm)
-    return x_min + _MARGIN_MM, x_max - _MARGIN_MM, y_min, y_max
-
-
 Flags = NDArray[np.bool_]
 
 _CELL_MM = 0.5  # of the grid that places are looked for on: gaps are kept to half a millimetre
@@ -187,16 +169,16 @@ _TRIES, _STARTS = 200, 20  # places that are tried for a product, and beginnings
 
 
 def side_by_side(
-    products: Sequence[Drawn], rig: Rig, *, gap_mm: float, most_overhang_spacings: float, seed: int, name: str
+    products: Sequence[Drawn], rig: Rig, part: ProductPart, seed: int, name: str
 ) -> tuple[Drawn, ...]:
     """Lay products where they keep off each other, and return them from left to right.
 
     They are moved, not turned, to places drawn uniformly and kept where they are free: footprints within
-    the view of the belt, `gap_mm` apart, and at most `most_overhang_spacings` beyond the outermost planes.
-    Raises StageError, which begins with the item's name, where there is no room for so many.
+    the view of the belt, apart, and beyond the outermost planes only as far as `part` says. Raises
+    StageError, which begins with the item's name, where there is no room for so many.
     """
     rng = np.random.default_rng([seed, 53])
-    low_x, high_x, low_y, high_y = _room(rig, most_overhang_spacings)
+    low_x, high_x, low_y, high_y = _room(rig, part.most_overhang_spacings)
     shape = (int((high_y - low_y) / _CELL_MM), int((high_x - low_x) / _CELL_MM))
     masks = [_mask(one) for one in products]
     fits = all(mask.shape[0] < shape[0] and mask.shape[1] < shape[1] for mask in masks)
@@ -210,12 +192,12 @@ def side_by_side(
             x_min, _, y_min, _ = one.solid.footprint_extent_mm()
             laid.append(moved_to(one, low_x + _CELL_MM * at[1] - x_min, low_y + _CELL_MM * at[0] - y_min))
             taken[at[0] : at[0] + mask.shape[0], at[1] : at[1] + mask.shape[1]] |= mask
-            taken = _grown(taken, mask, at, gap_mm)
+            taken = _grown(taken, mask, at, part.gap_mm)
         else:
             return tuple(sorted(laid, key=lambda one: sum(one.solid.footprint_extent_mm()[:2])))
     raise StageError(
         f"{name}: there is no room for {len(products)} products on X = {low_x:.1f} to {high_x:.1f} mm, "
-        f"Y = {low_y:.1f} to {high_y:.1f} mm of the belt with {gap_mm:g} mm between them",
+        f"Y = {low_y:.1f} to {high_y:.1f} mm of the belt with {part.gap_mm:g} mm between them",
         hint="take fewer or smaller products, or a smaller gap",
         at=("product", "in_frame"),
     )
@@ -296,25 +278,19 @@ class Group:
 
     def footprint_extent_mm(self) -> tuple[float, float, float, float]:
         """Smallest and largest X, smallest and largest Y of all footprints, millimetres."""
-        ends = np.array([one.footprint_extent_mm() for one in self.members])
-        return (
-            float(ends[:, 0].min()),
-            float(ends[:, 1].max()),
-            float(ends[:, 2].min()),
-            float(ends[:, 3].max()),
-        )
+        left, right, near, far = np.array([one.footprint_extent_mm() for one in self.members]).T
+        return float(left.min()), float(right.max()), float(near.min()), float(far.max())
 
     def body(self) -> ExactBody | Fields:
         """Return the kernels' form."""
-        members = [_parts_of(one) if isinstance(one, Block) else one for one in self.members]
-        gridded = [one for one in members if isinstance(one, GriddedSolid)]
-        exact = [one for one in members if isinstance(one, PartsSolid)]
-        meshes = [one for one in members if isinstance(one, MeshSolid)]
-        if len(gridded) == len(members):
+        gridded = [one for one in self.members if isinstance(one, GriddedSolid)]
+        exact = [one for one in self.members if isinstance(one, PartsSolid | Block)]
+        meshes = [one for one in self.members if isinstance(one, MeshSolid)]
+        if len(gridded) == len(self.members):
             return _fields(gridded)
-        if len(exact) == len(members):
-            return _parts(exact)
-        if len(meshes) == len(members):
+        if len(exact) == len(self.members):
+            return _parts([one.body() for one in exact])
+        if len(meshes) == len(self.members):
             corners = np.concatenate([one.corners_mm for one in meshes])
             return MeshSolid(corners, np.nan, np.nan, np.nan).body()
         raise TypeError("the solids of a group are of one kind")
@@ -364,26 +340,18 @@ def _fields(members: Sequence[GriddedSolid]) -> Fields:
     return Fields(FIELDS, reach, reach[5], nodes, table)
 
 
-def _parts(members: Sequence[PartsSolid]) -> ExactBody:
+def _parts(members: Sequence[ExactBody]) -> ExactBody:
     tables, first = [], 0.0
     for one in members:
         table = one.surfaces.copy()
         table[:, 0] += first
         first = float(table[-1, 0]) + 1.0
         tables.append(table)
-    reach = _reach([one.body().reach for one in members])
+    reach = _reach([one.reach for one in members])
     surfaces, bounds = np.concatenate(tables), np.array([reach])
     for array in (surfaces, bounds):
         array.flags.writeable = False
     return ExactBody(PARTS, reach, reach[5], surfaces=surfaces, boxes=bounds)
-
-
-def _parts_of(block: Block) -> PartsSolid:
-    half_x, half_y, height = 0.5 * block.length_mm, 0.5 * block.width_mm, block.height_mm
-    sides = box((-half_x, half_x), (-half_y, half_y), (0.0, height))
-    pose = Pose(block.centre_x_mm, block.centre_y_mm, block.yaw_deg)
-    volumes = block.visible_volume_mm3, block.true_volume_mm3, block.footprint_mm2
-    return PartsSolid(placed([sides], pose), *volumes, block.footprint_extent_mm(), height)
 
 
 def _reach(boxes: Sequence[Reach]) -> Reach:

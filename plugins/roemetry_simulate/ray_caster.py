@@ -3,29 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.records import Frame, ProductTruth, Role, Simulated, StripeTruth, Truth
-from roemetry.records import Sensor as Noise
-from roemetry.stages import Simulator, Turn
+from roemetry.stages import Turn
 from roemetry_simulate.optics import turned
 from roemetry_simulate.population import Group, draw_item
 from roemetry_simulate.products import Drawn
-from roemetry_simulate.render import Rig, as_stored, render
-from roemetry_simulate.scene import RayCasterOptions, contaminate, rig_of, surface_of
+from roemetry_simulate.render import as_stored, render
+from roemetry_simulate.scene import RayCasterOptions, contaminate, surface_of
 from roemetry_simulate.solid import Solid
-from roemetry_simulate.targets import calibration_truth_of, take_target
+from roemetry_simulate.targets import RigSimulator
 from roemetry_simulate.truth import StripeTruth as Crossings
 from roemetry_simulate.truth import dot_centres, stripe_centres, stripes_show
 
 
-class RayCaster(Simulator[RayCasterOptions]):
+class RayCaster(RigSimulator[RayCasterOptions]):
     """Casts float64 rays: at least 4 × 4 a pixel, occlusion exact for camera and laser.
 
     The item of number k has the seed (first seed + k), so a longer set of the same seed begins with the
@@ -38,16 +35,16 @@ class RayCaster(Simulator[RayCasterOptions]):
     def __init__(self, options: RayCasterOptions | None = None) -> None:
         super().__init__(options)
         # a product that cannot be, or does not fit, is told before anything is rendered
-        draw_item(self.options.product, self._rig, 0, 0)
+        draw_item(self.options.product, self.rig, 0, 0)
 
     def simulate(self, number: int, seed: int) -> Simulated:
         """Make the item of this number; raise StageError where its product does not fit into the view."""
-        lying = draw_item(self.options.product, self._rig, number, seed)
+        lying = draw_item(self.options.product, self.rig, number, seed)
         solid = lying.solid
         surface = surface_of(self.options, lying.seed)
-        surface = contaminate(surface, self.options, self._rig, lying.products, lying.seed)
+        surface = contaminate(surface, self.options, self.rig, lying.products, lying.seed)
         pitch: Any = {"step_px": 0.5} if self.options.draft else {}
-        camera, laser = self._rig.camera, self._rig.laser
+        camera, laser = self.rig.camera, self.rig.laser
         if len(laser.rows):
             crossings = dot_centres(camera, laser, solid)
         else:
@@ -58,7 +55,10 @@ class RayCaster(Simulator[RayCasterOptions]):
             stripes = replace(stripes, across=stripes_of(across, solid))
         frames = []
         for role in self.options.light.images:
-            rig = self._rig if role != "dark" else replace(self._rig, laser=dimmed(self._rig))
+            rig = self.rig
+            if role == "dark":
+                off = replace(laser, peak_grey=np.zeros_like(laser.peak_grey), across=None)
+                rig = replace(rig, laser=off)
             # a dark image has a noise of its own
             noise_seed = lying.seed if role != "dark" else lying.seed + 2**32
             given: Any = {"samples": self.options.samples, "draft": self.options.draft}
@@ -70,25 +70,9 @@ class RayCaster(Simulator[RayCasterOptions]):
         )
         return Simulated(tuple(frames), Truth(products, stripes))
 
-    def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
-        """Give the calibration images, by kind and name; each is made when it is asked for."""
-        return self.options.targets.views(partial(take_target, self.options, self._rig, seed))
-
     def turn_deg(self) -> Turn:
         """Give the turn that rights its images."""
         return self.options.turn_deg
-
-    def sensor(self) -> Noise:
-        """Give the noise of the scene's camera."""
-        return Noise(self._rig.sensor.grey_per_electron, self._rig.sensor.read_noise_grey)
-
-    def calibration_truth(self, seed: int) -> Mapping[str, Any]:
-        """Give the true rig, and where each target lay."""
-        return calibration_truth_of(self.options, self._rig, seed)
-
-    @cached_property
-    def _rig(self) -> Rig:
-        return rig_of(self.options)
 
     def _frame(self, pixels: NDArray[Any], role: Role, number: int) -> Frame:
         belt = self.options.belt
@@ -111,11 +95,6 @@ def stripes_of(crossings: Crossings, solid: Solid | None = None) -> StripeTruth:
         label[on_product] = solid.member_at(crossings.xyz_mm[on_product])
     x_px, y_px, xyz_mm = (one.copy() for one in (crossings.x_px, crossings.y_px, crossings.xyz_mm))
     return StripeTruth(x_px, on_product, xyz_mm, label, y_px)
-
-
-def dimmed(rig: Rig) -> Any:
-    """Return the rig's laser, switched off."""
-    return replace(rig.laser, peak_grey=np.zeros_like(rig.laser.peak_grey), across=None)
 
 
 def _only(crossings: Crossings, on_it: NDArray[np.bool_]) -> Crossings:

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from roemetry_kernels.compiling import kernel
 from roemetry_simulate.products.mesh import hit_triangles, triangles_normal
 from roemetry_simulate.products.parts import hit_parts, parts_normal
-from roemetry_simulate.solid import BOX, FIELD, PARTS, Body, ExactBody, Fields
+from roemetry_simulate.solid import FIELD, MISS, PARTS, Body, ExactBody, Fields, Reach, between_sides
 
 Floats = NDArray[np.float64]
 
 AnyBody = Body | ExactBody | Fields
-Reach = tuple[float, float, float, float, float, float]
+Place = tuple[float, float, float]
+
+_LEAST_STEP_MM = 0.02  # of the march, so that a grazing ray ends; a thinner rim may be missed
 
 
 def _hit(body: AnyBody, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
@@ -29,30 +31,6 @@ def _hit(body: AnyBody, o: Floats, d: Floats, t_max: float, tol_mm: float) -> fl
 def _normal(body: AnyBody, point: Floats, normal: Floats) -> None:
     """Stand for the normal of the body's own type, which the compiler chooses."""
     raise NotImplementedError
-
-
-@kernel
-def _hit_box(box: Floats, o: Floats, d: Floats, t_max: float) -> float:
-    """Distance along the ray to a block; its far side if the ray starts inside."""
-    c, s = math.cos(box[2]), math.sin(box[2])
-    ox, oy = o[0] - box[0], o[1] - box[1]
-    start = (c * ox + s * oy, c * oy - s * ox, o[2] - 0.5 * box[5])
-    along = (c * d[0] + s * d[1], c * d[1] - s * d[0], d[2])
-    half = (box[3], box[4], 0.5 * box[5])
-    near, far = -1e300, 1e300
-    for k in range(3):
-        if along[k] == 0.0:
-            if abs(start[k]) > half[k]:
-                return MISS
-            continue
-        one = (-half[k] - start[k]) / along[k]
-        two = (half[k] - start[k]) / along[k]
-        near = max(near, min(one, two))
-        far = min(far, max(one, two))
-    if near > far or far < 0.0:
-        return MISS
-    t = near if near >= 0.0 else far
-    return t if t <= t_max else MISS
 
 
 @kernel
@@ -68,8 +46,6 @@ def _hit_exact(body: ExactBody, o: Floats, d: Floats, t_max: float, tol_mm: floa
 
 
 def _hit_simple(body: Body, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
-    if body.kind == BOX:
-        return _hit_box(body.box, o, d, t_max)
     if body.kind == FIELD:
         # the parts it takes, not the whole: numba counts references of every array that is handed on
         place = (body.x0_mm, body.y0_mm, body.step_mm)
@@ -78,8 +54,16 @@ def _hit_simple(body: Body, o: Floats, d: Floats, t_max: float, tol_mm: float) -
     return MISS
 
 
-def _hit_several(body: Fields, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
-    return hit_fields(body, o, d, t_max, tol_mm)
+def _hit_fields(body: Fields, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
+    """Distance along a unit direction to the nearest of several gridded bodies, or MISS."""
+    best = MISS
+    for k in range(body.places.shape[0]):
+        p = body.places[k]
+        place, bounds = (p[0], p[1], p[2]), (p[3], p[4], p[5])
+        t = hit_field(_grid(body, k), place, bounds, o, d, t_max if best < 0.0 else best, tol_mm)
+        if t >= 0.0 and (best < 0.0 or t < best):
+            best = t
+    return best
 
 
 @overload(_hit, strict=False)
@@ -88,21 +72,14 @@ def _choose_hit(body: Any, o: Any, d: Any, t_max: Any, tol_mm: Any) -> Callable[
     if "surfaces" in body.fields:
         chosen = _hit_exact
     elif "places" in body.fields:
-        chosen = _hit_several
+        chosen = _hit_fields
     return chosen
 
 
 @kernel
 def _may_meet(reach: Reach, o: Floats, d: Floats, t_max: float) -> bool:
     """Tell whether a ray passes the box that holds the body."""
-    near, far = 0.0, t_max
-    for k in range(3):
-        if d[k] == 0.0:
-            if o[k] < reach[k] or o[k] > reach[k + 3]:
-                return False
-            continue
-        one, two = (reach[k] - o[k]) / d[k], (reach[k + 3] - o[k]) / d[k]
-        near, far = max(near, min(one, two)), min(far, max(one, two))
+    near, far = between_sides(reach, o, d, t_max)
     return near <= far
 
 
@@ -151,15 +128,28 @@ def _normal_exact(body: ExactBody, point: Floats, normal: Floats) -> None:
 
 
 def _normal_simple(body: Body, point: Floats, normal: Floats) -> None:
-    if body.kind == BOX:
-        _box_normal(body.box, point, normal)
-        return
     place = (body.x0_mm, body.y0_mm, body.step_mm)
     field_normal(body.grid, place, point, normal)
 
 
-def _normal_several(body: Fields, point: Floats, normal: Floats) -> None:
-    fields_normal(body, point, normal)
+def _normal_fields(body: Fields, point: Floats, normal: Floats) -> None:
+    """Write the outward unit normal of the gridded body on whose skin a point lies."""
+    nearest, which = 1e300, 0
+    for k in range(body.places.shape[0]):
+        p = body.places[k]
+        inside = True
+        for m in range(2):
+            size = (p[8 - m] - 1.0) * p[2]
+            inside = inside and p[m] <= point[m] <= p[m] + size
+        if not inside:
+            continue
+        f, w = field_value(_grid(body, k), (p[0], p[1], p[2]), point[0], point[1], point[2])
+        # f is a square; the distance it stands for is about f over twice the height over the rim
+        away = abs(f) / max(2.0 * abs(w), 1e-3)
+        if away < nearest:
+            nearest, which = away, k
+    p = body.places[which]
+    field_normal(_grid(body, which), (p[0], p[1], p[2]), point, normal)
 
 
 @overload(_normal, strict=False)
@@ -168,27 +158,8 @@ def _choose_normal(body: Any, point: Any, normal: Any) -> Callable[..., None]:
     if "surfaces" in body.fields:
         chosen = _normal_exact
     elif "places" in body.fields:
-        chosen = _normal_several
+        chosen = _normal_fields
     return chosen
-
-
-@kernel
-def _box_normal(box: Floats, point: Floats, normal: Floats) -> None:
-    """Write the normal of the face a point lies on (the nearest)."""
-    c, s = math.cos(box[2]), math.sin(box[2])
-    px, py = point[0] - box[0], point[1] - box[1]
-    along, across = c * px + s * py, c * py - s * px
-    to_top = abs(box[5] - point[2])
-    to_end, to_side = abs(box[3] - abs(along)), abs(box[4] - abs(across))
-    if to_top <= to_end and to_top <= to_side:
-        return
-    normal[2] = 0.0
-    if to_end <= to_side:
-        sign = 1.0 if along > 0.0 else -1.0
-        normal[0], normal[1] = sign * c, sign * s
-    else:
-        sign = 1.0 if across > 0.0 else -1.0
-        normal[0], normal[1] = -sign * s, sign * c
 
 
 @kernel
@@ -221,12 +192,6 @@ def sees_in(
     if not _may_meet(reach, start, d, length):
         return cosine
     return cosine if hit_body(body, start, d, length, 1e-3) < 0.0 else 0.0
-
-
-Place = tuple[float, float, float]
-
-MISS = -1.0  # distance of a ray that meets nothing
-_LEAST_STEP_MM = 0.02  # of the march, so that a grazing ray ends; a thinner rim may be missed
 
 
 @kernel
@@ -272,18 +237,9 @@ def hit_field(
     grid: Floats, place: Place, bounds: Place, o: Floats, d: Floats, t_max: float, tol_mm: float
 ) -> float:
     """March along a unit direction by steps that cannot overshoot the surface, then refine."""
-    size = ((grid.shape[1] - 1) * place[2], (grid.shape[0] - 1) * place[2], bounds[0])
-    corner = (place[0], place[1], 0.0)
-    near, far = 0.0, t_max
-    for k in range(3):
-        if d[k] == 0.0:
-            if o[k] < corner[k] or o[k] > corner[k] + size[k]:
-                return MISS
-            continue
-        one = (corner[k] - o[k]) / d[k]
-        two = (corner[k] + size[k] - o[k]) / d[k]
-        near = max(near, min(one, two))
-        far = min(far, max(one, two))
+    x_max = place[0] + (grid.shape[1] - 1) * place[2]
+    y_max = place[1] + (grid.shape[0] - 1) * place[2]
+    near, far = between_sides((place[0], place[1], 0.0, x_max, y_max, bounds[0]), o, d, t_max)
     if near >= far:
         return MISS
     flat = math.sqrt(d[0] * d[0] + d[1] * d[1])
@@ -332,40 +288,6 @@ def field_normal(grid: Floats, place: Place, point: Floats, normal: Floats) -> N
         return
     for k in range(3):
         normal[k] /= length
-
-
-@kernel
-def hit_fields(body: Fields, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
-    """Distance along a unit direction to the nearest of several gridded bodies, or MISS."""
-    best = MISS
-    for k in range(body.places.shape[0]):
-        p = body.places[k]
-        place, bounds = (p[0], p[1], p[2]), (p[3], p[4], p[5])
-        t = hit_field(_grid(body, k), place, bounds, o, d, t_max if best < 0.0 else best, tol_mm)
-        if t >= 0.0 and (best < 0.0 or t < best):
-            best = t
-    return best
-
-
-@kernel
-def fields_normal(body: Fields, point: Floats, normal: Floats) -> None:
-    """Write the outward unit normal of the gridded body on whose skin a point lies."""
-    nearest, which = 1e300, 0
-    for k in range(body.places.shape[0]):
-        p = body.places[k]
-        inside = True
-        for m in range(2):
-            size = (p[8 - m] - 1.0) * p[2]
-            inside = inside and p[m] <= point[m] <= p[m] + size
-        if not inside:
-            continue
-        f, w = field_value(_grid(body, k), (p[0], p[1], p[2]), point[0], point[1], point[2])
-        # f is a square; the distance it stands for is about f over twice the height over the rim
-        away = abs(f) / max(2.0 * abs(w), 1e-3)
-        if away < nearest:
-            nearest, which = away, k
-    p = body.places[which]
-    field_normal(_grid(body, which), (p[0], p[1], p[2]), point, normal)
 
 
 @kernel

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -36,24 +37,14 @@ Flags = NDArray[np.bool_]
 class Sensor:
     """What the camera does to the light.
 
-    Attributes
-    ----------
-    grey_per_electron : float
-        Gain; shot noise has the variance `grey_per_electron` × grey level.
-    read_noise_grey : float
-        Standard deviation of the noise that is there without light.
-    black_level_grey : float
-        Grey level without light.
-    psf_sigma_px : float
-        Gaussian blur of the lens on the sensor.
-    speckle_contrast : float
-        Standard deviation over mean of the laser light's speckle as the camera sees it.
-    speckle_sigma_px : float
-        Gaussian filter that sets the grain of the speckle.
-    full_well_e : float
-        Electrons a pixel holds; what comes beyond is lost.
-    bit_depth : int
-        8 to 16: the highest grey level is 2**bit_depth − 1.
+    - `grey_per_electron`: Gain; shot noise has the variance `grey_per_electron` × grey level.
+    - `read_noise_grey`: Standard deviation of the noise that is there without light.
+    - `black_level_grey`: Grey level without light.
+    - `psf_sigma_px`: Gaussian blur of the lens on the sensor.
+    - `speckle_contrast`: Standard deviation over mean of the laser light's speckle as the camera sees it.
+    - `speckle_sigma_px`: Gaussian filter that sets the grain of the speckle.
+    - `full_well_e`: Electrons a pixel holds; what comes beyond is lost.
+    - `bit_depth`: 8 to 16: the highest grey level is 2**bit_depth − 1.
     """
 
     grey_per_electron: float = 0.0255
@@ -70,22 +61,14 @@ class Sensor:
 class Rig:
     """What is bolted to the line: camera, sensor, laser and lamps.
 
-    Attributes
-    ----------
-    camera, sensor, laser
-        See their classes.
-    ambient_grey : float
-        Grey level of a white, level surface with the laser on (stray light, straight from above).
-    plain_grey : float
-        Grey level of a white, level surface under the plain light with the laser off.
-    lamp_height_mm, lamp_radius_mm : float
-        The plain light is a ring of lamps about the optical axis.
-    stray_mm : tuple of float or None
-        Where a lamp is that is always on, which glossy places mirror; None is none.
-    stray_grey : float
-        Grey level of a white surface that faces this lamp.
-    focus : Focus or None
-        Where the lens is focused; None is sharp everywhere, up to the sensor's own blur.
+    - `camera`, `sensor`, `laser`: See their classes.
+    - `ambient_grey`: Grey level of a white, level surface with the laser on (stray light, straight from
+      above).
+    - `plain_grey`: Grey level of a white, level surface under the plain light with the laser off.
+    - `lamp_height_mm`, `lamp_radius_mm`: The plain light is a ring of lamps about the optical axis.
+    - `stray_mm`: Where a lamp is that is always on, which glossy places mirror; None is none.
+    - `stray_grey`: Grey level of a white surface that faces this lamp.
+    - `focus`: Where the lens is focused; None is sharp everywhere, up to the sensor's own blur.
     """
 
     camera: Camera
@@ -185,13 +168,8 @@ def _under_lamps(
     camera = rig.camera
     count = square**2 * samples * samples
     angle = 2.0 * np.pi * np.arange(count) / count
-    lamps = np.column_stack(
-        [
-            rig.lamp_radius_mm * np.cos(angle),
-            rig.lamp_radius_mm * np.sin(angle),
-            0 * angle + rig.lamp_height_mm,
-        ]
-    )
+    x, y = rig.lamp_radius_mm * np.cos(angle), rig.lamp_radius_mm * np.sin(angle)
+    lamps = np.column_stack([x, y, np.full(count, rig.lamp_height_mm)])
     # neighbouring samples see lamps far apart, so that a pixel's sub-areas are lit alike
     order = (np.arange(samples * samples) * 7) % (samples * samples)
     lamps = np.ascontiguousarray(lamps.reshape(samples * samples, square**2, 3)[order])
@@ -234,22 +212,18 @@ def _uneven(grey: Floats, step: int) -> Flags:
 
 
 def render(
-    rig: Rig,
-    solid: Solid,
-    surface: Surface,
-    *,
-    seed: int,
-    plain: bool = False,
-    samples: int = 4,
+    rig: Rig, solid: Solid, surface: Surface, *, seed: int, plain: bool = False, samples: int = 4,
     draft: bool = False,
-) -> NDArray[Any]:
+) -> NDArray[Any]:  # fmt: skip
     """Take one image of a scene: uint8, or uint16 over 8 bits; the same arguments give the same bytes.
 
     The seed is that of speckle and noise; `plain` is laser off and plain light on; `samples` stand along
     each side of a pixel. A draft casts a ray into each fourth pixel, and four into each where these show
     edges or stripes.
     """
-    lens = _lens(rig, solid)
+    lens = None
+    if (focus := rig.focus) is not None:
+        lens = partial(defocused, camera=rig.camera, focus=focus, depth_mm=depths_mm(rig.camera, solid))
     if plain:
         steady = plain_light(rig, solid, surface, samples, draft=draft)
         return expose(np.zeros_like(steady), steady, rig.sensor, seed, lens)
@@ -260,15 +234,6 @@ def render(
 def as_stored(pixels: NDArray[Any], turn_deg: int) -> NDArray[Any]:
     """Return an image as it is stored: a counter-clockwise turn by `turn_deg` rights it."""
     return np.ascontiguousarray(np.rot90(pixels, -turn_deg // 90))
-
-
-def _lens(rig: Rig, solid: Solid) -> Callable[[Floats], Floats] | None:
-    """Give the blur of a lens that is not sharp everywhere."""
-    focus = rig.focus
-    if focus is None:
-        return None
-    depth_mm = depths_mm(rig.camera, solid)
-    return lambda light: defocused(light, rig.camera, focus, depth_mm)
 
 
 def _maps(surface: Surface) -> Floats:
@@ -350,11 +315,8 @@ def _render_laser(
                 soft = 0.0
                 if on == 1 and below[0] > 0.0:
                     spread = math.sqrt(wide * wide + below[2] * below[2])
-                    soft = (
-                        below[0]
-                        * pattern_light(planes, rows, point, normal, below[1], spread)
-                        * (fan[0] / spread)
-                    )
+                    soft = below[0] * pattern_light(planes, rows, point, normal, below[1], spread)
+                    soft *= fan[0] / spread
                 if light == 0.0 and soft == 0.0:
                     continue
                 cosine = sees_in(body, reach, point, normal, projector, beam, scratch)

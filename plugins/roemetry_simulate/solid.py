@@ -15,7 +15,8 @@ Floats = NDArray[np.float64]
 
 Reach = tuple[float, float, float, float, float, float]
 
-NOTHING, BOX, FIELD, PARTS, MESH, FIELDS = 0, 1, 2, 3, 4, 5  # kinds of bodies, for the kernels
+NOTHING, FIELD, PARTS, MESH, FIELDS = 0, 1, 2, 3, 4  # kinds of bodies, for the kernels
+MISS = -1.0  # distance of a ray that meets nothing
 
 NOWHERE: Reach = (0.0, 0.0, -2.0, 0.0, 0.0, -1.0)
 """A box below the belt, where no ray comes."""
@@ -29,16 +30,14 @@ def no_array(*shape: int, dtype: type[np.generic] = np.float64) -> NDArray[Any]:
 
 
 class Body(NamedTuple):
-    """Nothing, a block or a gridded body in the form the kernels take; `kind` says which members count.
+    """Nothing, or a gridded body (FIELD, which takes all members), in the form the kernels take.
 
-    BOX takes `box`; FIELD takes `grid` to `u_slope_mm`. `reach` is a box that holds all of it: smallest x, y,
-    z, largest x, y, z. `top_mm` is at or over the highest point. All arrays are read-only, so that the
-    kernels are compiled once.
+    `reach` is a box that holds all of it: smallest x, y, z, largest x, y, z. `top_mm` is at or over the
+    highest point. All arrays are read-only, so that the kernels are compiled once.
     """
 
     kind: int
     reach: Reach = NOWHERE
-    box: Floats = no_array(6)
     grid: Floats = no_array(2, 2, 3)
     x0_mm: float = 0.0
     y0_mm: float = 0.0
@@ -63,6 +62,29 @@ class ExactBody(NamedTuple):
     triangles: Floats = no_array(1, 9)
     boxes: Floats = no_array(1, 6)
     links: NDArray[np.int64] = no_array(1, 3, dtype=np.int64)
+
+
+def exact_body(surfaces: Floats, extent_mm: tuple[float, float, float, float], top_mm: float) -> ExactBody:
+    """Return the kernels' form of surfaces (F, 11), read-only, over a footprint's extent."""
+    x_min, x_max, y_min, y_max = extent_mm
+    bounds = np.array([[x_min, y_min, 0.0, x_max, y_max, top_mm]])
+    bounds += np.array([-1e-6, -1e-6, -1e-6, 1e-6, 1e-6, 1e-6])
+    bounds.flags.writeable = False
+    return ExactBody(PARTS, tuple(bounds[0].tolist()), float(top_mm), surfaces=surfaces, boxes=bounds)
+
+
+@kernel
+def between_sides(box: Any, o: Floats, d: Floats, t_max: float) -> tuple[float, float]:
+    """Give where a ray enters and leaves a box (as `Body.reach`), within 0 and t_max; (1, -1): nowhere."""
+    near, far = 0.0, t_max
+    for k in range(3):
+        if d[k] == 0.0:
+            if o[k] < box[k] or o[k] > box[k + 3]:
+                return 1.0, -1.0
+            continue
+        one, two = (box[k] - o[k]) / d[k], (box[k + 3] - o[k]) / d[k]
+        near, far = max(near, min(one, two)), min(far, max(one, two))
+    return near, far
 
 
 class Fields(NamedTuple):
@@ -141,14 +163,9 @@ class EmptyBelt:
 class Block:
     """A rectangular block on the belt, exact.
 
-    Attributes
-    ----------
-    length_mm, width_mm, height_mm : float
-        Sides along its own x, its own y, and Z.
-    centre_x_mm, centre_y_mm : float
-        Centre of its footprint, belt frame.
-    yaw_deg : float
-        Its own x axis turned from belt X, counter-clockwise seen from above.
+    - `length_mm`, `width_mm`, `height_mm`: Sides along its own x, its own y, and Z.
+    - `centre_x_mm`, `centre_y_mm`: Centre of its footprint, belt frame.
+    - `yaw_deg`: Its own x axis turned from belt X, counter-clockwise seen from above.
     """
 
     length_mm: float
@@ -194,27 +211,26 @@ class Block:
         x, y = self.centre_x_mm, self.centre_y_mm
         return float(x - half_x), float(x + half_x), float(y - half_y), float(y + half_y)
 
-    def body(self) -> Body:
-        """Return the kernels' form."""
-        half = (self.length_mm / 2.0, self.width_mm / 2.0, self.height_mm)
-        box = np.array([self.centre_x_mm, self.centre_y_mm, np.deg2rad(self.yaw_deg), *half])
-        box.flags.writeable = False
-        x_min, x_max, y_min, y_max = self.footprint_extent_mm()
-        reach = (x_min, y_min, 0.0, x_max, y_max, float(self.height_mm))
-        return Body(BOX, reach, box, top_mm=float(self.height_mm))
+    def body(self) -> ExactBody:
+        """Return the kernels' form: six planes."""
+        c, s = np.cos(np.deg2rad(self.yaw_deg)), np.sin(np.deg2rad(self.yaw_deg))
+        own = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        normals = np.concatenate([-own, own])
+        half = 0.5 * self.length_mm, 0.5 * self.width_mm
+        offsets = np.array([*half, 0.0, *half, self.height_mm])
+        offsets += normals @ np.array([self.centre_x_mm, self.centre_y_mm, 0.0])
+        surfaces = np.column_stack([np.zeros((6, 7)), normals, -offsets])
+        surfaces.flags.writeable = False
+        return exact_body(surfaces, self.footprint_extent_mm(), self.height_mm)
 
 
 @dataclass(frozen=True, eq=False)
 class GriddedSolid:
     """A body with a rounded rim, on a regular grid.
 
-    Attributes
-    ----------
-    x0_mm, y0_mm, step_mm : float
-        Belt position of node (0, 0) and the pitch of the square grid.
-    grid : ndarray, shape (rows along Y, columns along X, 3)
-        mid (mm), u_top (mm²), u_bottom (mm²); the two u are negative outside the footprint. The border
-        nodes lie outside the footprint.
+    - `x0_mm`, `y0_mm`, `step_mm`: Belt position of node (0, 0) and the pitch of the square grid.
+    - `grid`, shape (rows along Y, columns along X, 3): mid (mm), u_top (mm²), u_bottom (mm²); the two u are
+      negative outside the footprint. The border nodes lie outside the footprint.
     """
 
     x0_mm: float
@@ -261,7 +277,7 @@ class GriddedSolid:
         x_max = place[0] + (self.grid.shape[1] - 1) * place[2]
         y_max = place[1] + (self.grid.shape[0] - 1) * place[2]
         reach = (place[0], place[1], 0.0, x_max, y_max, top + 0.01)
-        return Body(FIELD, reach, no_array(6), self.grid, *place, top + 0.01, *slopes)
+        return Body(FIELD, reach, self.grid, *place, top + 0.01, *slopes)
 
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Floats, Floats]:
         """Highest and lowest Z over belt positions of one shape; NaN outside the footprint."""

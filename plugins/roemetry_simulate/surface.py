@@ -17,24 +17,20 @@ Picture = tuple[Floats, Floats, Floats]
 class Surface:
     """Reflectance of everything in view.
 
-    Attributes
-    ----------
-    x0_mm, y0_mm, step_mm : float
-        Belt position of node (0, 0) of the maps and their pitch; places outside take the border's value.
-    texture : ndarray, shape (rows along Y, columns along X, 2 or 4)
-        Relative brightness, about 1: layer 0 belt, layer 1 product. Where there are wet places, layers 2 and
-        3 hold the gloss of belt and product there, where it is more than `gloss`.
-    laser_albedo, plain_albedo : tuple of float
-        Mean albedo (belt, product) in the laser's colour and in plain light.
-    gloss : tuple of float
-        Share of mirror-like light (belt, product), spread about the mirror direction with `gloss_exponent`.
-    below : tuple of float
-        Light that goes on below the product's surface: its share (0–1), the mean depth it comes back from
-        (mm, along the normal: it appears shifted away from the laser), and the standard deviation it is
-        spread by (mm).
-    picture : Picture or None
-        A picture stuck on the product: (rows, columns) of factors of its albedo under the laser and in plain
-        light, and the (2, 4) matrix that takes a point (x, y, z, 1), mm, to the picture's (column, row).
+    - `x0_mm`, `y0_mm`, `step_mm`: Belt position of node (0, 0) of the maps and their pitch; places outside
+      take the border's value.
+    - `texture`, shape (rows along Y, columns along X, 2 or 4): Relative brightness, about 1: layer 0 belt,
+      layer 1 product. Where there are wet places, layers 2 and 3 hold the gloss of belt and product there,
+      where it is more than `gloss`.
+    - `laser_albedo`, `plain_albedo`: Mean albedo (belt, product) in the laser's colour and in plain light.
+    - `gloss`: Share of mirror-like light (belt, product), spread about the mirror direction with
+      `gloss_exponent`.
+    - `below`: Light that goes on below the product's surface: its share (0–1), the mean depth it comes back
+      from (mm, along the normal: it appears shifted away from the laser), and the standard deviation it is
+      spread by (mm).
+    - `picture`: A picture stuck on the product: (rows, columns) of factors of its albedo under the laser and
+      in plain light, and the (2, 4) matrix that takes a point (x, y, z, 1), mm, to the picture's (column,
+      row).
     """
 
     x0_mm: float

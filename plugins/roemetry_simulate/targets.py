@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from functools import cached_property, partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +13,12 @@ from numpy.typing import NDArray
 from roemetry.config.scene_parts import BOARDS, ON_BELT, BoardPart
 from roemetry.records import Frame
 from roemetry.records import Sensor as Noise
+from roemetry.stages import Simulator
 from roemetry_simulate.products.artefacts import StaircaseOptions, staircase
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.parts import PartsSolid, plane
 from roemetry_simulate.render import Rig, as_stored, render
-from roemetry_simulate.scene import RayCasterOptions, surface_of
+from roemetry_simulate.scene import RayCasterOptions, rig_of, surface_of
 from roemetry_simulate.solid import Block, EmptyBelt, Solid
 from roemetry_simulate.surface import Surface
 
@@ -25,6 +28,45 @@ _PX_PER_SQUARE = 80
 """Of the print's raster: finer than any image shows it."""
 _BLACK = 0.12
 """Light that ink gives back, of what paper does."""
+
+
+SceneT = TypeVar("SceneT", bound=RayCasterOptions)
+
+
+class RigSimulator(Simulator[SceneT]):
+    """What simulators of a scene's rig share: the rig, its camera's noise, the still targets."""
+
+    @cached_property
+    def rig(self) -> Rig:
+        """The rig that the scene describes."""
+        return rig_of(self.options)
+
+    def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
+        """Give the calibration images, by kind and name; each is made when it is asked for."""
+        return self.options.targets.views(partial(take_target, self.options, self.rig, seed))
+
+    def sensor(self) -> Noise:
+        """Give the noise of the scene's camera."""
+        return Noise(self.rig.sensor.grey_per_electron, self.rig.sensor.read_noise_grey)
+
+    def calibration_truth(self, seed: int) -> Mapping[str, Any]:
+        """Give the true rig and the true places of all targets, as plain values.
+
+        The rig's keys are those of `roemetry.records.view.View`; lengths in mm of the belt frame.
+        """
+        camera, laser, targets = self.rig.camera, self.rig.laser, self.options.targets
+        focal, (cx, cy) = camera.focal_length_px, camera.principal_px.tolist()
+        return {
+            "rig": {
+                "image_size": [camera.height_px, camera.width_px],
+                "camera_matrix": [[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]],
+                "distortion": list(camera.distortion) if camera.distorts else [],
+                "T_belt_camera": camera.T_belt_camera.tolist(),
+                "planes": np.column_stack([laser.normals, laser.offsets_mm]).tolist(),
+                "projector_mm": laser.projector_mm.tolist(),
+            },
+            **targets.truth(board_poses(targets.board, seed)),
+        }
 
 
 def take_target(scene: RayCasterOptions, rig: Rig, seed: int, kind: str, name: str) -> Frame:
@@ -110,26 +152,6 @@ def board_poses(part: BoardPart, seed: int) -> dict[str, Floats]:
     flat = np.diag([1.0, -1.0, -1.0, 1.0])
     flat[:3, 3] = -0.5 * size[0], 0.5 * size[1], part.thickness_mm
     return found | {ON_BELT: flat}
-
-
-def calibration_truth_of(scene: RayCasterOptions, rig: Rig, seed: int) -> dict[str, Any]:
-    """Give the true rig and the true places of all targets, as plain values.
-
-    The rig's keys are those of `roemetry.records.view.View`; lengths in mm of the belt frame.
-    """
-    camera, laser = rig.camera, rig.laser
-    focal, (cx, cy) = camera.focal_length_px, camera.principal_px.tolist()
-    return {
-        "rig": {
-            "image_size": [camera.height_px, camera.width_px],
-            "camera_matrix": [[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]],
-            "distortion": list(camera.distortion) if camera.distorts else [],
-            "T_belt_camera": camera.T_belt_camera.tolist(),
-            "planes": np.column_stack([laser.normals, laser.offsets_mm]).tolist(),
-            "projector_mm": laser.projector_mm.tolist(),
-        },
-        **scene.targets.truth(board_poses(scene.targets.board, seed)),
-    }
 
 
 def picture_from(part: BoardPart, pose: Floats) -> Floats:

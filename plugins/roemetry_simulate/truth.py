@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from roemetry_kernels.compiling import kernel
 from roemetry_simulate.optics import Camera, LaserFan, camera_ray
-from roemetry_simulate.raycast import AnyBody, Reach, first_hit_in, normal_at, sees_in
-from roemetry_simulate.solid import Solid
+from roemetry_simulate.raycast import AnyBody, first_hit_in, normal_at, sees_in
+from roemetry_simulate.solid import Reach, Solid
 
 Floats = NDArray[np.float64]
 
@@ -24,17 +24,12 @@ _MAX_RESIDUAL_MM = 1e-4
 class StripeTruth:
     """Every stripe's centre in every pixel row. S stripes from left to right, R rows.
 
-    Attributes
-    ----------
-    x_px : ndarray, shape (S, R)
-        Sub-pixel position in the row, NaN where no point of the plane is both lit and seen.
-    xyz_mm : ndarray, shape (S, R, 3)
-        That point in the belt frame, millimetres, NaN alike.
-    on_product : ndarray of int8, shape (S, R)
-        1 on the product, 0 on the belt, -1 nothing.
-    hits : ndarray of int8, shape (S, R)
-        How many lit and seen points the plane has in the row; above 1 the one kept is on the product
-        rather than the belt, and the highest of these.
+    - `x_px`, shape (S, R): Sub-pixel position in the row, NaN where no point of the plane is both lit and
+      seen.
+    - `xyz_mm`, shape (S, R, 3): That point in the belt frame, millimetres, NaN alike.
+    - `on_product`, shape (S, R): 1 on the product, 0 on the belt, -1 nothing.
+    - `hits`, shape (S, R): How many lit and seen points the plane has in the row; above 1 the one kept is on
+      the product rather than the belt, and the highest of these.
     """
 
     x_px: Floats
@@ -102,15 +97,9 @@ def stripe_centres(camera: Camera, laser: LaserFan, solid: Solid, *, step_px: fl
     # a dead plane lights nothing
     planes = np.column_stack([laser.normals, laser.offsets_mm, laser.peak_grey])
     found = _search(
-        solid.body(),
-        camera.packed(),
-        camera.rotation,
-        laser.projector_mm,
-        planes,
-        camera.height_px,
-        camera.width_px,
-        step_px,
-    )
+        solid.body(), camera.packed(), camera.rotation, laser.projector_mm, planes, camera.height_px,
+        camera.width_px, step_px,
+    )  # fmt: skip
     for array in found:
         array.flags.writeable = False
     return StripeTruth(*found)
@@ -118,16 +107,9 @@ def stripe_centres(camera: Camera, laser: LaserFan, solid: Solid, *, step_px: fl
 
 @kernel
 def _side(
-    body: AnyBody,
-    reach: Reach,
-    pinhole: Floats,
-    rotation: Floats,
-    plane: Floats,
-    x_px: float,
-    y_px: float,
-    view: Floats,
-    point: Floats,
-) -> tuple[float, int]:
+    body: AnyBody, reach: Reach, pinhole: Floats, rotation: Floats, plane: Floats, x_px: float, y_px: float,
+    view: Floats, point: Floats,
+) -> tuple[float, int]:  # fmt: skip
     """Signed distance to the plane of what the camera sees at an image point; also on what it lies."""
     camera_ray(pinhole, rotation, x_px, y_px, view)
     on = first_hit_in(body, reach, pinhole[:3], view, 1e-12, point)

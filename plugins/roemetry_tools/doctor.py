@@ -94,9 +94,8 @@ def doctor(
 
 
 def _show(one: Finding) -> None:
-    mark, colour = {"ok": ("ok", "green"), "missing": ("missing", "yellow"), "wrong": ("WRONG", "red")}[
-        one.verdict
-    ]
+    marks = {"ok": ("ok", "green"), "missing": ("missing", "yellow"), "wrong": ("WRONG", "red")}
+    mark, colour = marks[one.verdict]
     typer.secho(f"{mark:7}", nl=False, fg=colour)
     typer.echo(f"  {one.what}: {one.found}" + (f"\n           → {one.remedy}" if one.remedy else ""))
 
@@ -104,12 +103,8 @@ def _show(one: Finding) -> None:
 def examine(registry: Registry | None = None) -> Iterator[Finding]:
     """Look at everything, the quick things first, and give each finding as soon as it is known."""
     registry = registry or discover()
-    yield Finding(
-        "roemetry",
-        "ok",
-        f"{version(PROJECT)}, Python {platform.python_version()}, {platform.platform()}, "
-        f"{os.cpu_count()} processors",
-    )
+    machine = f"Python {platform.python_version()}, {platform.platform()}, {os.cpu_count()} processors"
+    yield Finding("roemetry", "ok", f"{version(PROJECT)}, {machine}")
     yield from _libraries()
     yield _one_opencv()
     yield from _llvm()
@@ -177,12 +172,9 @@ def _one_opencv() -> Finding:
     found = sorted(set(packages_distributions().get("cv2", [])))
     if len(found) <= 1:
         return Finding("OpenCV", "ok", f"from {', '.join(found) or 'nowhere'}")
-    return Finding(
-        "OpenCV",
-        "wrong",
-        f"{', '.join(found)} overwrite each other",
-        f"pip uninstall {' '.join(found)}; pip install --force-reinstall opencv-contrib-python-headless",
-    )
+    again = "pip install --force-reinstall opencv-contrib-python-headless"
+    remedy = f"pip uninstall {' '.join(found)}; {again}"
+    return Finding("OpenCV", "wrong", f"{', '.join(found)} overwrite each other", remedy)
 
 
 def _llvm() -> Iterator[Finding]:
@@ -243,11 +235,8 @@ def _measured() -> Iterator[Finding]:
         yield Finding("shipped recipe", "wrong", said, "install roemetry, numba and numpy again")
         return
     first, again = seconds[0], min(seconds[1:])
-    yield Finding(
-        "kernels",
-        "ok",
-        f"ready in {max(first - again, 0.0):.1f} s; then {1000 * again:.0f} ms from file to numbers",
-    )
+    said = f"ready in {max(first - again, 0.0):.1f} s; then {1000 * again:.0f} ms from file to numbers"
+    yield Finding("kernels", "ok", said)
     yield _compared(found, known)
 
 
@@ -262,17 +251,11 @@ def _compared(found: Mapping[str, Row], known: Mapping[str, Row]) -> Finding:
         if got[3] != expected[3]:
             grades.append(f"{name} is {got[3]}, expected {expected[3]}")
     if worst <= _RELATIVE_MAX and not grades:
-        return Finding(
-            "shipped recipe",
-            "ok",
-            f"{len(known)} products; volume, weight and height within {worst:.0e} of the known ones",
-        )
-    return Finding(
-        "shipped recipe",
-        "wrong",
-        "; ".join([f"volume, weight or height off by up to {worst:.2%}", *grades]),
-        "compare `pip list` with a machine where it is right, and report this",
-    )
+        said = f"{len(known)} products; volume, weight and height within {worst:.0e} of the known ones"
+        return Finding("shipped recipe", "ok", said)
+    said = "; ".join([f"volume, weight or height off by up to {worst:.2%}", *grades])
+    remedy = "compare `pip list` with a machine where it is right, and report this"
+    return Finding("shipped recipe", "wrong", said, remedy)
 
 
 def known_numbers(folder: Path) -> dict[str, Row]:

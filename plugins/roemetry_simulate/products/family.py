@@ -62,15 +62,10 @@ class PopulationOptions(ProductOptions):
 class Drawn:
     """One product on the belt, with what is true of it.
 
-    Attributes
-    ----------
-    solid : Solid
-        The body, in the belt frame.
-    truth : ProductTruth
-        Its class, defect, volumes (mm³), mass (g), and further figures, units in their names.
-    reference : Solid or None
-        The same product, in the same place, without its defect; None where there is no such thing. What the
-        stripes show of the defect follows from both, see `roemetry_simulate.truth.stripes_show`.
+    - `solid`: The body, in the belt frame.
+    - `truth`: Its class, defect, volumes (mm³), mass (g), and further figures, units in their names.
+    - `reference`: The same product, in the same place, without its defect; None where there is no such thing.
+      What the stripes show of the defect follows from both, see `roemetry_simulate.truth.stripes_show`.
     """
 
     solid: Solid
@@ -90,16 +85,10 @@ class Pose(NamedTuple):
 class ProductFamily:
     """A kind of product that can be drawn.
 
-    Attributes
-    ----------
-    name : str
-        What recipes and command lines call it.
-    summary : str
-        One line that says what it is.
-    Options : type of ProductOptions
-        Its options: frozen, described, bounded.
-    make : callable
-        Makes the product of a seed and options; `draw` is its checked front.
+    - `name`: What recipes and command lines call it.
+    - `summary`: One line that says what it is.
+    - `Options`: Its options: frozen, described, bounded.
+    - `make`: Makes the product of a seed and options; `draw` is its checked front.
     """
 
     name: str
@@ -125,11 +114,8 @@ def random_of(seed: int, family: str) -> np.random.Generator:
 def draw_pose(rng: np.random.Generator, options: ProductOptions) -> Pose:
     """Draw where a product lies, uniformly over the ranges of the options."""
     x, y, yaw = rng.uniform(-1.0, 1.0, 3)
-    return Pose(
-        float(x * options.offset_range_x_mm),
-        float(y * options.offset_range_y_mm),
-        float(yaw * options.turn_range_deg),
-    )
+    ranges = options.offset_range_x_mm, options.offset_range_y_mm, options.turn_range_deg
+    return Pose(*(float(share * most) for share, most in zip((x, y, yaw), ranges, strict=True)))
 
 
 def pick(rng: np.random.Generator, shares: Mapping[str, float]) -> str:
@@ -147,21 +133,15 @@ def describe(
     A defect other than ``none`` makes the label ``henkei``, else ``good``. Further figures stand after the
     footprint and its extent.
     """
-    x_min, x_max, y_min, y_max = solid.footprint_extent_mm()
+    ends = ("x_min_mm", "x_max_mm", "y_min_mm", "y_max_mm")
+    at = dict(zip(ends, solid.footprint_extent_mm(), strict=True))
     return ProductTruth(
         label="good" if defect == "none" else "henkei",
         defect=defect,
         visible_mm3=float(solid.visible_volume_mm3),
         true_mm3=float(solid.true_volume_mm3),
         mass_g=float(solid.true_volume_mm3) * 1e-3 * options.density_g_per_cm3,
-        figures={
-            "footprint_mm2": float(solid.footprint_mm2),
-            "x_min_mm": x_min,
-            "x_max_mm": x_max,
-            "y_min_mm": y_min,
-            "y_max_mm": y_max,
-            **(figures or {}),
-        },
+        figures={"footprint_mm2": float(solid.footprint_mm2), **at, **(figures or {})},
     )
 
 

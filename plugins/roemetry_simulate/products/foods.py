@@ -51,20 +51,12 @@ class FoodOptions(PopulationOptions):
 class Form:
     """A food's shape in its own frame.
 
-    Attributes
-    ----------
-    half_length_mm, half_width_mm : float
-        The footprint lies within these.
-    q : callable
-        Of (u, v) in mm: above 0 on the footprint, falling through 0 at its edge.
-    dome : callable
-        Of (u, v) in mm: height of the ridge over the rim, mm.
-    rim_mm : float
-        Height of the widest line over the belt.
-    power, fullness : float
-        Roundness of underside and top.
-    relief_mm, relief_period_mm : float
-        Standard deviation of the relief, and the length over which it changes.
+    - `half_length_mm`, `half_width_mm`: The footprint lies within these.
+    - `q`: Of (u, v) in mm: above 0 on the footprint, falling through 0 at its edge.
+    - `dome`: Of (u, v) in mm: height of the ridge over the rim, mm.
+    - `rim_mm`: Height of the widest line over the belt.
+    - `power`, `fullness`: Roundness of underside and top.
+    - `relief_mm`, `relief_period_mm`: Standard deviation of the relief, and the length over which it changes.
     """
 
     half_length_mm: float

@@ -43,53 +43,34 @@ FURTHER_KINDS = ("s-bent", "several-dents")
 class SkeinRecord:
     """All that makes a skein. Drawn from uniform distributions over the ranges given here.
 
-    Attributes
-    ----------
-    seed : int
-        What everything was drawn from.
-    kind : str
-        One of `KINDS` or `FURTHER_KINDS`.
-    length_mm : float
-        Along the mid-line, 70–105 (broken: of the whole skein, 90–105).
-    width_mm : float
-        20–34 in the middle of its length.
-    thickness_mm : float
-        Nominal height over the belt in the middle, 10–20, at most 0.68 of the width
-        (folded: at most 16, before the flap).
-    rim_height_mm : float
-        Height of the widest line over its lowest point, 0.25–0.42 of the thickness.
-    underside_power : float
-        Roundness of the underside, 1 (half an ellipse) to 2.2 (flatter); at least 1.5 over a gap.
-    air_gap_mm : float
-        Largest air gap under the middle, which arches: 0,
-        but 0–3 and at most 0.13 of the thickness for bent, s-bent and twisted ones.
-    thick_end : float
-        Growth of width and height from the middle to the thick end, 0.06–0.2 of either sign;
-        positive is thick at the right.
-    taper : float
-        Share of the dome's height lost towards both ends, 0.25–0.55.
-    bluntness : float
-        Exponent of the outline's ends, 2.0–3.2.
-    fullness : float
-        0 is an elliptic cross-section, up to 0.5 is fuller.
-    relief_mm : float
-        Standard deviation of the fine relief, 0.04–0.10, over about 3 mm.
-    bend_deg : float
-        Turn of the mid-line from end to end, within ±12; bent ones 30–60 of either sign; for s-bent ones
-        the turn of the right half, 25–45 of either sign, and the left half turns back by as much.
-    yaw_deg : float
-        Turn from belt X, within ±15.
-    centre_x_mm, centre_y_mm : float
-        Where the middle lies, within ±5 and ±6; a scene may move it along X to where the stripes are.
-    defect_along, defect_across : float
-        Where the defect is: a (−0.55…0.55), and v as a share of the half width (−0.35…0.35). Of several
-        dents (2–4) this is the first; the others are drawn from the seed, over the same ranges.
-    defect_depth_mm : float
-        2–6, at most half of the dome; 0 for healthy ones.
-    defect_length_mm, defect_width_mm : float
-        Its full extent along and across the mid-line, 5–20.
-    defect_angle_deg : float
-        Phase of a twist (0–360), or slant of a fold's, crease's or break's line (−50…50).
+    - `seed`: What everything was drawn from.
+    - `kind`: One of `KINDS` or `FURTHER_KINDS`.
+    - `length_mm`: Along the mid-line, 70–105 (broken: of the whole skein, 90–105).
+    - `width_mm`: 20–34 in the middle of its length.
+    - `thickness_mm`: Nominal height over the belt in the middle, 10–20, at most 0.68 of the width (folded: at
+      most 16, before the flap).
+    - `rim_height_mm`: Height of the widest line over its lowest point, 0.25–0.42 of the thickness.
+    - `underside_power`: Roundness of the underside, 1 (half an ellipse) to 2.2 (flatter); at least 1.5 over a
+      gap.
+    - `air_gap_mm`: Largest air gap under the middle, which arches: 0, but 0–3 and at most 0.13 of the
+      thickness for bent, s-bent and twisted ones.
+    - `thick_end`: Growth of width and height from the middle to the thick end, 0.06–0.2 of either sign;
+      positive is thick at the right.
+    - `taper`: Share of the dome's height lost towards both ends, 0.25–0.55.
+    - `bluntness`: Exponent of the outline's ends, 2.0–3.2.
+    - `fullness`: 0 is an elliptic cross-section, up to 0.5 is fuller.
+    - `relief_mm`: Standard deviation of the fine relief, 0.04–0.10, over about 3 mm.
+    - `bend_deg`: Turn of the mid-line from end to end, within ±12; bent ones 30–60 of either sign; for s-bent
+      ones the turn of the right half, 25–45 of either sign, and the left half turns back by as much.
+    - `yaw_deg`: Turn from belt X, within ±15.
+    - `centre_x_mm`, `centre_y_mm`: Where the middle lies, within ±5 and ±6; a scene may move it along X to
+      where the stripes are.
+    - `defect_along`, `defect_across`: Where the defect is: a (−0.55…0.55), and v as a share of the half width
+      (−0.35…0.35). Of several dents (2–4) this is the first; the others are drawn from the seed, over the
+      same ranges.
+    - `defect_depth_mm`: 2–6, at most half of the dome; 0 for healthy ones.
+    - `defect_length_mm`, `defect_width_mm`: Its full extent along and across the mid-line, 5–20.
+    - `defect_angle_deg`: Phase of a twist (0–360), or slant of a fold's, crease's or break's line (−50…50).
     """
 
     seed: int
@@ -268,16 +249,10 @@ def dents(record: SkeinRecord) -> list[SkeinRecord]:
         along, across, depth = rng.uniform(-0.55, 0.55), rng.uniform(-0.35, 0.35), rng.uniform(2.0, 6.0)
         length, width = rng.uniform(5.0, 20.0, 2)
         deepest = max(0.5 * (record.thickness_mm - record.rim_height_mm), 2.0)
-        found.append(
-            replace(
-                record,
-                defect_along=float(along),
-                defect_across=float(across),
-                defect_depth_mm=float(min(depth, deepest)),
-                defect_length_mm=float(length),
-                defect_width_mm=float(width),
-            )
-        )
+        names = ("along", "across", "depth_mm", "length_mm", "width_mm")
+        values = map(float, (along, across, min(depth, deepest), length, width))
+        own = {f"defect_{name}": value for name, value in zip(names, values, strict=True)}
+        found.append(replace(record, **own))  # type: ignore[arg-type]
     return found
 
 

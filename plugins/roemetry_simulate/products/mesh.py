@@ -31,13 +31,12 @@ from roemetry_simulate.products.family import (
     draw_pose,
     random_of,
 )
-from roemetry_simulate.solid import MESH, ExactBody
+from roemetry_simulate.solid import MESH, MISS, ExactBody
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 _RAYS = 2_000_000  # vertical rays of the visible volume: right to 1e-4 of a box
-MISS = -1.0  # distance of a ray that meets nothing
 _LEAF = 4  # triangles of a leaf: fewer make the tree deep, more test many triangles
 _MARGIN_MM = 1e-7  # about boxes, against rounding
 _EDGE = 1e-12  # of an edge's length: what counts as inside, so that no ray slips through between neighbours
@@ -105,12 +104,9 @@ def build_tree(corners_mm: Floats) -> Tree:
 class MeshSolid:
     """A closed mesh on the belt.
 
-    Attributes
-    ----------
-    corners_mm : ndarray, shape (T, 3, 3)
-        Triangle, corner, (x, y, z), belt frame, counter-clockwise seen from outside.
-    visible_volume_mm3, true_volume_mm3, footprint_mm2 : float
-        Its volumes and its footprint's area.
+    - `corners_mm`, shape (T, 3, 3): Triangle, corner, (x, y, z), belt frame, counter-clockwise seen from
+      outside.
+    - `visible_volume_mm3`, `true_volume_mm3`, `footprint_mm2`: Its volumes and its footprint's area.
     """
 
     corners_mm: Floats
@@ -214,10 +210,9 @@ def _closed(path: Path, changed_ns: int, mm_per_unit: float, up: str) -> ClosedM
 def _make(seed: int, options: MeshOptions) -> Drawn:
     try:
         changed_ns = options.file.stat().st_mtime_ns
+        mesh = _closed(options.file, changed_ns, options.mm_per_unit, options.up)
     except OSError as fault:
         raise DataError(f"{options.file}: {fault.strerror or fault}", at=_FILE) from fault
-    try:
-        mesh = _closed(options.file, changed_ns, options.mm_per_unit, options.up)
     except DataError as fault:
         fault.at = _FILE
         raise

@@ -21,12 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from roemetry_kernels.compiling import kernel
 from roemetry_simulate.products.family import Pose
-from roemetry_simulate.solid import PARTS, ExactBody
+from roemetry_simulate.solid import MISS, ExactBody, between_sides, exact_body
 
 Floats = NDArray[np.float64]
 Surface = tuple[float, float, float, float, float, float, float, float, float, float]
 
-MISS = -1.0  # distance of a ray that meets nothing
 _PARALLEL = 1e-15  # coefficient of t² (or t) below which a surface is flat (or parallel) along a ray
 
 
@@ -63,16 +62,10 @@ def box(x_mm: tuple[float, float], y_mm: tuple[float, float], z_mm: tuple[float,
 class PartsSolid:
     """A union of convex parts on the belt.
 
-    Attributes
-    ----------
-    surfaces : ndarray, shape (F, 11)
-        Its surfaces in the belt frame, see the module.
-    visible_volume_mm3, true_volume_mm3, footprint_mm2 : float
-        From closed forms of whoever made it.
-    extent_mm : tuple of float
-        Smallest and largest X, smallest and largest Y of the footprint.
-    top_mm : float
-        Height of the highest point.
+    - `surfaces`, shape (F, 11): Its surfaces in the belt frame, see the module.
+    - `visible_volume_mm3`, `true_volume_mm3`, `footprint_mm2`: From closed forms of whoever made it.
+    - `extent_mm`: Smallest and largest X, smallest and largest Y of the footprint.
+    - `top_mm`: Height of the highest point.
     """
 
     surfaces: Floats
@@ -91,13 +84,7 @@ class PartsSolid:
 
     def body(self) -> ExactBody:
         """Return the kernels' form."""
-        x_min, x_max, y_min, y_max = self.extent_mm
-        bounds = np.array([[x_min, y_min, 0.0, x_max, y_max, self.top_mm]])
-        bounds += np.array([-1e-6, -1e-6, -1e-6, 1e-6, 1e-6, 1e-6])
-        bounds.flags.writeable = False
-        return ExactBody(
-            PARTS, tuple(bounds[0].tolist()), top_mm=float(self.top_mm), surfaces=self.surfaces, boxes=bounds
-        )
+        return exact_body(self.surfaces, self.extent_mm, self.top_mm)
 
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Floats, Floats]:
         """Highest and lowest Z over belt positions of one shape; NaN outside the footprint."""
@@ -193,14 +180,7 @@ def hit_parts(surfaces: Floats, bounds: Floats, o: Floats, d: Floats, t_max: flo
 
     The far side of a part that the ray starts in. `bounds` holds smallest x, y, z, largest x, y, z.
     """
-    near, far = 0.0, t_max
-    for k in range(3):
-        if d[k] == 0.0:
-            if o[k] < bounds[k] or o[k] > bounds[k + 3]:
-                return MISS
-            continue
-        one, two = (bounds[k] - o[k]) / d[k], (bounds[k + 3] - o[k]) / d[k]
-        near, far = max(near, min(one, two)), min(far, max(one, two))
+    near, far = between_sides(bounds, o, d, t_max)
     if near > far:
         return MISS
     best = MISS

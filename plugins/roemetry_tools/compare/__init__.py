@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 
 from roemetry.calibrating.known_products import read_labels
-from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, place
+from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, place, set_option
 from roemetry.cli.progress import progress
 from roemetry.errors import ConfigurationError, InterruptedRunError
 from roemetry.io.files import write_whole
@@ -21,6 +21,7 @@ from roemetry.io.remote import folder_for
 from roemetry.run.executors import Executor
 from roemetry.stages.registry import discover
 from roemetry_tools.compare.agreement import Terms
+from roemetry_tools.compare.comparison import Measuring
 from roemetry_tools.compare.comparison import compare as compared_on
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.kept import KEPT, KeptScores
@@ -108,14 +109,7 @@ def compare(
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with a stopped comparison in --out.")
     ] = False,
-    sets: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Change the recipe for all variants; may be given several times.",
-        ),
-    ] = None,
+    sets: Annotated[list[str] | None, set_option("Change the recipe for all variants")] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print comparison.json instead of the tables; no progress bar.")
     ] = False,
@@ -174,14 +168,9 @@ def compare(
 
 
 def _one_set(
-    variants: Sequence[Variant],
-    data: Data,
-    terms: Terms,
-    executor: Executor,
-    folder: Path,
-    resume: bool,
+    variants: Sequence[Variant], data: Data, terms: Terms, executor: Executor, folder: Path, resume: bool,
     as_json: bool,
-) -> Sequence[Compared]:
+) -> Sequence[Compared]:  # fmt: skip
     """Compare on one data set, write its files, and show them."""
     began = datetime.now(UTC)
     with (
@@ -189,15 +178,8 @@ def _one_set(
         KeptScores(folder, variants, data, terms, resume=resume) as kept,
         progress("comparing", quiet=as_json) as shown,
     ):
-        compared = compared_on(
-            variants,
-            data,
-            terms=terms,
-            executor=executor,
-            kept=kept,
-            on_scored=items.add,
-            on_progress=shown,
-        )
+        how: Measuring = {"executor": executor, "kept": kept, "on_scored": items.add, "on_progress": shown}
+        compared = compared_on(variants, data, terms=terms, **how)
     write_comparison(folder, compared, data, terms=terms, command=sys.argv[1:], began=began)
     if not as_json:
         _show(compared, terms, data.without_truth)
@@ -207,11 +189,13 @@ def _one_set(
 def _show(compared: Sequence[Compared], terms: Terms, without_truth: str) -> None:
     recipe = compared[0].variant.recipe
     assert recipe is not None
-    console = Console()
-    for line in first_lines_of(compared, terms, without_truth):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    say(first_lines_of(compared, terms, without_truth))
     for table in tables_of(recipe.product, compared):
-        console.print(table)
-    said = [*verdicts_of(compared, terms.tolerance_pct), *problems_of(compared), without_truth]
-    for sentence in filter(None, said):
-        console.print(sentence, highlight=False, markup=False, soft_wrap=True)
+        Console().print(table)
+    say([*verdicts_of(compared, terms.tolerance_pct), *problems_of(compared), without_truth])
+
+
+def say(lines: Iterable[str]) -> None:
+    """Print lines as they are, but empty ones."""
+    for line in filter(None, lines):
+        Console().print(line, highlight=False, markup=False, soft_wrap=True)

@@ -64,14 +64,11 @@ class Bootstrap:
     ) -> list[Interval]:
         """Give the intervals of several statistics of the same draws.
 
-        Parameters
-        ----------
-        columns
-            (value, column): what is summed over the values.
-        statistics
-            Takes (draw, column + 1) sums, the last of them the number of values; gives (draw, statistic).
-        level
-            Share of draws within, widened for few products by Student's t (Hesterberg 2015, section 5.3).
+        - `columns`: (value, column): what is summed over the values.
+        - `statistics`: Takes (draw, column + 1) sums, the last of them the number of values; gives (draw,
+          statistic).
+        - `level`: Share of draws within, widened for few products by Student's t (Hesterberg 2015, section
+          5.3).
         """
         if self.count < 2:
             with np.errstate(divide="ignore", invalid="ignore"):  # asked only how many there are
@@ -352,17 +349,9 @@ def recalls_of(graded: Sequence[Graded]) -> tuple[Recall, ...]:
         mine = [one for one in graded if one.true == name]
         called = [one for one in graded if one.given == name]
         hits = sum(one.right for one in mine)
-        found.append(
-            Recall(
-                name,
-                len(mine),
-                hits / len(mine),
-                wilson(hits, len(mine)),
-                len(called),
-                hits / len(called) if called else math.nan,
-                wilson(hits, len(called)),
-            )
-        )
+        recall = len(mine), hits / len(mine), wilson(hits, len(mine))
+        precision = hits / len(called) if called else math.nan
+        found.append(Recall(name, *recall, len(called), precision, wilson(hits, len(called))))
     return tuple(found)
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import chain, islice
+from typing import NamedTuple, TypedDict, Unpack
 
 from roemetry.config.dataset import Dataset
 from roemetry.config.recipe import Recipe
@@ -14,67 +14,50 @@ from roemetry.run.executors import Executor, Lost
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.stage_cache import CachedStages, StageCache
 from roemetry.run.workers import Processes
-from roemetry_tools.compare.aggregate import Aggregate, Figures
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.data import Data, Unit, as_taken, changed_file, labelled
 from roemetry_tools.compare.kept import Found, KeptScores
 from roemetry_tools.compare.racing import Stopped, beaten, looks
 from roemetry_tools.compare.ranking import Compared, rank_against
-from roemetry_tools.compare.score import Scored, score, unreadable
+from roemetry_tools.compare.score import Aggregate, Figures, Scored, score, unreadable
 from roemetry_tools.compare.variants import Variant
 
 
-def compare(
-    variants: Sequence[Variant],
-    data: Data,
-    *,
-    terms: Terms | None = None,
-    executor: Executor | None = None,
-    kept: KeptScores | None = None,
-    on_scored: Callable[[Variant, Scored], None] = lambda variant, scored: None,
-    on_progress: Callable[[int, int], None] = lambda done, of: None,
-) -> tuple[Compared, ...]:
-    """Compare variants of a recipe; the first is the recipe as it is, which is never stopped early.
+class Measuring(TypedDict, total=False):
+    """How variants are measured, and who is told of it."""
 
-    Whatever the `executor`, by default this process, figures are the same, times aside. What was `kept` of a
-    comparison that was stopped is not measured again, and what is measured is kept there. `on_scored` is
-    called with each variant and what it made of an acquisition, acquisitions in order and for each the
-    variants in order; `on_progress` with (acquisitions done, of how many).
-    """
+    executor: Executor
+    """What does the work; by default this process. Figures are the same with any, times aside."""
+    kept: KeptScores
+    """What was kept of a stopped comparison is not measured again; what is measured now is kept there."""
+    on_scored: Callable[[Variant, Scored], None]
+    """Called with each variant and what it made of an acquisition, acquisitions in order and for each the
+    variants in order."""
+    on_progress: Callable[[int, int], None]
+    """Called with (acquisitions done, of how many)."""
+
+
+def compare(
+    variants: Sequence[Variant], data: Data, *, terms: Terms | None = None, **how: Unpack[Measuring]
+) -> tuple[Compared, ...]:
+    """Compare variants of a recipe; the first is the recipe as it is, which is never stopped early."""
     terms = Terms() if terms is None else terms
-    figures, stopped = measure(
-        variants,
-        data,
-        stop_early=terms.stop_early,
-        executor=executor,
-        kept=kept,
-        on_scored=on_scored,
-        on_progress=on_progress,
-    )
+    figures, stopped = measure(variants, data, stop_early=terms.stop_early, **how)
     base = figures.get(variants[0].number)
-    return tuple(
-        Compared(
-            variant,
-            own,
-            rank_against(own, None if variant is variants[0] else base, terms),
-            stopped.get(variant.number),
-        )
-        for variant in variants
-        for own in (figures.get(variant.number),)
-    )
+    found = []
+    for variant in variants:
+        own = figures.get(variant.number)
+        standing = rank_against(own, None if variant is variants[0] else base, terms)
+        found.append(Compared(variant, own, standing, stopped.get(variant.number)))
+    return tuple(found)
 
 
 def measure(
-    variants: Sequence[Variant],
-    data: Data,
-    *,
-    stop_early: bool = False,
-    executor: Executor | None = None,
-    kept: KeptScores | None = None,
-    on_scored: Callable[[Variant, Scored], None] = lambda variant, scored: None,
-    on_progress: Callable[[int, int], None] = lambda done, of: None,
+    variants: Sequence[Variant], data: Data, *, stop_early: bool = False, **how: Unpack[Measuring]
 ) -> tuple[dict[int, Figures], dict[int, Stopped]]:
     """Give what each variant that has a recipe came to, and which of them were stopped; as `compare`."""
+    kept = how.get("kept")
+    on_scored, on_progress = how.get("on_scored"), how.get("on_progress", _silent)
     recipes = [(variant.number, variant.recipe) for variant in variants if variant.recipe is not None]
     aggregates = {number: Aggregate(recipe, data.without_truth) for number, recipe in recipes}
     by_number = {variant.number: variant for variant in variants}
@@ -84,7 +67,8 @@ def measure(
     next_look = next(looking)
     on_progress(0, data.count)
     before = iter(()) if kept is None else kept.found()
-    results = (executor or Processes(1)).in_order(_Worker, (recipes, data.dataset, data.labels), tasks)
+    executor = how.get("executor") or Processes(1)
+    results = executor.in_order(_Worker, (recipes, data.dataset, data.labels), tasks)
     # what comes now is made when it is wanted: after what was kept, the tasks are those that are left
     for done, found in enumerate(chain(tasks.counted(before), results), start=1):
         cold, every = _lost(found, tasks.measured, data) if isinstance(found, Lost) else found
@@ -93,7 +77,8 @@ def measure(
         for scored in every:
             if scored.variant in tasks.measured:  # else it was handed out before the variant was stopped
                 aggregates[scored.variant].add(scored, cold=cold)
-                on_scored(by_number[scored.variant], scored)
+                if on_scored is not None:
+                    on_scored(by_number[scored.variant], scored)
         if stop_early and done == next_look:
             next_look = next(looking)
             values = {number: aggregates[number].values for number in tasks.measured}
@@ -105,8 +90,11 @@ def measure(
     return {number: aggregate.figures() for number, aggregate in aggregates.items()}, stopped
 
 
-@dataclass(frozen=True, slots=True)
-class _Task:
+def _silent(done: int, of: int) -> None:
+    """Tell nobody."""
+
+
+class _Task(NamedTuple):
     """An acquisition, and the numbers of the variants that are to measure it."""
 
     unit: Unit
@@ -147,10 +135,8 @@ class _Worker:
     def __init__(
         self, recipes: Sequence[tuple[int, Recipe]], dataset: Dataset | None, labels: Mapping[str, str]
     ) -> None:
-        self._labels = labels
+        self._labels, self._dataset, self._memory = labels, dataset, StageCache()
         self._source = recipes[0][1].source.make()
-        self._dataset = dataset
-        self._memory = StageCache()
         self._ways = []
         for number, recipe in recipes:
             stages = CachedStages(recipe, self._memory)
@@ -182,6 +168,7 @@ class _Worker:
 
     def _judge(self, acquisition: Acquisition, truth: Truth | None, measured: frozenset[int]) -> list[Scored]:
         self._memory.clear()
+        turn_deg = 0 if self._dataset is None else self._dataset.description.turn_deg
         found = []
         for number, recipe, stages, pipeline in self._ways:
             if number not in measured:
@@ -189,9 +176,6 @@ class _Worker:
             stages.start()
             trace = pipeline.trace(acquisition)
             seconds = {"source": trace.seconds.get("source", 0.0), **(stages.seconds or trace.seconds)}
-            turn_deg = 0 if self._dataset is None else self._dataset.description.turn_deg
             memory = (stages.keys, self._memory)
-            found.append(
-                score(number, trace, recipe, truth, memory=memory, seconds=seconds, turn_deg=turn_deg)
-            )
+            found.append(score(number, trace, recipe, truth, memory, seconds, turn_deg))
         return found

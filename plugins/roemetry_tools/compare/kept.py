@@ -9,12 +9,11 @@ import base64
 import hashlib
 import json
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
-from types import TracebackType
-from typing import Any
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -27,13 +26,60 @@ from roemetry_tools.compare.stripes import CentreScore
 from roemetry_tools.compare.variants import Variant, recipe_of
 
 KEPT = ".scored"
+T = TypeVar("T")
 
 Found = tuple[bool, list[Scored]]
 """Whether its times hold what is done once, and what each variant made of an acquisition."""
 
 
-class KeptScores:
-    """A file in the comparison's folder: a line for each acquisition, in order; the first says of what.
+class KeptLines:
+    """A file that keeps what was done, line by line, until all is done; the first line says of what.
+
+    OutputError, with the `other` that it is of, where its first line is not `of`.
+    """
+
+    def __init__(self, path: Path, of: str, other: str) -> None:
+        self.path = path
+        with LineFile(path):
+            pass  # opening it takes a half line away
+        with path.open(encoding="utf-8", errors="replace") as file:
+            first = file.readline().rstrip("\n")
+        if first and first != of:
+            raise OutputError(
+                f"{path.parent}: the {other}",
+                hint="give the command that was stopped, or choose another folder with --out",
+            )
+        self._file = LineFile(path)
+        if not first:
+            self._file.append(of)
+
+    def read(self, as_what: Callable[[str], T], again: str) -> Iterator[T]:
+        """Give what was kept before, in order; OutputError where a line is damaged says to begin `again`."""
+        with self.path.open(encoding="utf-8") as file:
+            file.readline()
+            for number, line in enumerate(file, start=2):
+                try:
+                    found = as_what(line)
+                except (ValueError, TypeError, RecursionError, zlib.error) as error:
+                    raise OutputError(
+                        f"{self.path}:{number}: damaged, or of another roemetry ({first_fault(error)})",
+                        hint=f"begin the {again} again in another folder",
+                    ) from error
+                yield found
+
+    def append(self, line: str) -> None:
+        """Keep one more."""
+        self._file.append(line)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._file.__exit__(*error)
+
+
+class KeptScores(KeptLines):
+    """A line in the comparison's folder for each acquisition, in order.
 
     OutputError where it is to be gone on with and is of another comparison.
     """
@@ -41,51 +87,24 @@ class KeptScores:
     def __init__(
         self, folder: Path, variants: Sequence[Variant], data: Data, terms: Terms, *, resume: bool
     ) -> None:
-        self._path = folder / KEPT
         if not resume:
-            self._path.unlink(missing_ok=True)
-        of = identity_of(variants, data, terms)
-        with LineFile(self._path):
-            pass  # opening it takes a half line away
-        with self._path.open(encoding="ascii") as file:
-            first = file.readline().rstrip("\n")
-        if first and first != of:
-            raise OutputError(
-                f"{folder}: the comparison in this folder is of other variants, data or terms",
-                hint="give the command that was stopped, or choose another folder with --out",
-            )
-        self._file = LineFile(self._path)
-        if not first:
-            self._file.append(of)
+            (folder / KEPT).unlink(missing_ok=True)
+        other = "comparison in this folder is of other variants, data or terms"
+        super().__init__(folder / KEPT, identity_of(variants, data, terms), other)
 
     def found(self) -> Iterator[Found]:
         """Give what was kept before, in order."""
-        with self._path.open(encoding="ascii") as file:
-            file.readline()
-            for number, line in enumerate(file, start=2):
-                try:
-                    found: Found = _reader().validate_python(
-                        json.loads(zlib.decompress(base64.b64decode(line)))
-                    )
-                except (ValueError, RecursionError, zlib.error) as error:
-                    raise OutputError(
-                        f"{self._path}:{number}: damaged, or of another roemetry ({first_fault(error)})",
-                        hint="begin the comparison again in another folder",
-                    ) from error
-                yield found
+        return self.read(_unpacked, "comparison")
 
     def add(self, found: Found) -> None:
         """Keep what was scored of the next acquisition."""
         plain = json.dumps(found, default=_plain, separators=(",", ":"))
-        self._file.append(base64.b64encode(zlib.compress(plain.encode(), 1)).decode())
+        self.append(base64.b64encode(zlib.compress(plain.encode(), 1)).decode())
 
-    def __enter__(self) -> KeptScores:
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._file.__exit__(kind, error, trace)
+def _unpacked(line: str) -> Found:
+    found: Found = _reader().validate_python(json.loads(zlib.decompress(base64.b64decode(line))))
+    return found
 
 
 _NOT_SCORED = ("marks", "relief", "solution", "slice_stripe", "slice_area_mm2", "slice_spacing_mm")

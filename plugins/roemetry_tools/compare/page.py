@@ -16,9 +16,9 @@ from roemetry.html.page import environment_of
 from roemetry.html.plots import plain, share, when
 from roemetry.io.yaml_source import dump
 from roemetry.records.arrays import Floats
-from roemetry_tools.compare.aggregate import QUANTITIES, Errors, Pairs, columns_of, relative_pct
 from roemetry_tools.compare.agreement import Agreement, PairedValue, Reliability
 from roemetry_tools.compare.ranking import Compared
+from roemetry_tools.compare.score import QUANTITIES, Errors, Pairs, columns_of, relative_pct
 from roemetry_tools.compare.tables import STEPS, flat
 from roemetry_tools.compare.variants import Variant
 

@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry.records.arrays import Floats
-from roemetry_tools.compare.aggregate import QUANTITIES
 from roemetry_tools.compare.agreement import PairedValue
+from roemetry_tools.compare.score import QUANTITIES
 
 DOUBT = 0.01
 """Chance that the best variant is stopped, at most."""

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.records.arrays import Floats, Integers
-from roemetry_tools.compare.aggregate import QUANTITIES, Figures
 from roemetry_tools.compare.agreement import (
     NO_INTERVAL,
     Agreement,
@@ -35,6 +34,7 @@ from roemetry_tools.compare.agreement import (
     reliability_of,
 )
 from roemetry_tools.compare.racing import Stopped
+from roemetry_tools.compare.score import QUANTITIES, Figures
 from roemetry_tools.compare.variants import Variant
 
 

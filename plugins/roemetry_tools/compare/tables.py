@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rich.box import SIMPLE_HEAD
@@ -19,7 +19,6 @@ from rich.text import Text
 
 from roemetry.config.recipe_file import StageChoices
 from roemetry.html.plots import share
-from roemetry_tools.compare.aggregate import Errors
 from roemetry_tools.compare.agreement import Interval, Reliability, Shift, Terms
 from roemetry_tools.compare.racing import Stopped
 from roemetry_tools.compare.ranking import (
@@ -30,6 +29,7 @@ from roemetry_tools.compare.ranking import (
     leader_of,
     same_results,
 )
+from roemetry_tools.compare.score import Errors
 from roemetry_tools.compare.stripes import CentreScore, CodingScore
 
 Value = float | int | str | None
@@ -50,24 +50,29 @@ def to_csv(compared: Sequence[Compared]) -> str:
     rows = [flat(one) for one in compared]
     filled = [name for name in rows[0] if any(row[name] is not None for row in rows)]
     axes = list(dict.fromkeys(key for one in compared for key in one.variant.settings))
+    lines: list[list[Value]] = [
+        ["variant", "name", *(f"set {key}" for key in axes), "status", "reason", *filled]
+    ]
+    for one, row in zip(compared, rows, strict=True):
+        settings = [one.variant.settings.get(key, "") for key in axes]
+        cells = [row[name] for name in filled]
+        lines.append([one.variant.number, one.variant.name, *settings, one.status, one.failure, *cells])
+    return csv_of(lines)
+
+
+def csv_of(lines: Iterable[Sequence[object]]) -> str:
+    """Write lines as CSV; None and NaN are left empty."""
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["variant", "name", *(f"set {key}" for key in axes), "status", "reason", *filled])
-    for one, row in zip(compared, rows, strict=True):
-        variant = one.variant
-        settings = [variant.settings.get(key, "") for key in axes]
-        cells = ["" if row[name] is None else row[name] for name in filled]
-        writer.writerow([variant.number, variant.name, *settings, one.status, one.failure, *cells])
+    for line in lines:
+        writer.writerow(["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in line])
     return stream.getvalue()
 
 
 def flat(one: Compared) -> dict[str, Value]:
     """Give every figure of a variant by name, units in the names; None for what is missing."""
     figures = one.figures
-    row: dict[str, Value] = {
-        "acquisitions": getattr(figures, "acquisitions", None),
-        "refused": getattr(figures, "refused", None),
-    }
+    row: dict[str, Value] = {name: getattr(figures, name, None) for name in ("acquisitions", "refused")}
     for group, quantity, unit in GROUPS:
         row |= _errors(group, unit, None if figures is None else figures.errors[quantity])
         row |= _agreements(group, quantity, one.standing)
@@ -92,13 +97,12 @@ def flat(one: Compared) -> dict[str, Value]:
 def coding_shares(score: CodingScore | None) -> dict[str, Value]:
     """Shares of the visible product points, %, and runs of wrong labels, rows."""
     usable = score if score is not None and score.visible else None
-    shares: dict[str, Value] = {"coding_points": None if usable is None else usable.visible}
+    shares: dict[str, Value] = {"coding_points": getattr(usable, "visible", None)}
     for part in ("right", "wrong", "refused", "unseen", "ambiguous"):
-        shares[f"coding_{part}_pct"] = (
-            None if usable is None else 100.0 * getattr(usable, part) / usable.visible
-        )
-    shares["coding_wrong_points"] = None if score is None else score.wrong_points
-    shares["coding_longest_wrong_run_rows"] = None if score is None else score.longest_wrong_run
+        share_pct = None if usable is None else 100.0 * getattr(usable, part) / usable.visible
+        shares[f"coding_{part}_pct"] = share_pct
+    shares["coding_wrong_points"] = getattr(score, "wrong_points", None)
+    shares["coding_longest_wrong_run_rows"] = getattr(score, "longest_wrong_run", None)
     return shares
 
 
@@ -214,24 +218,21 @@ def across_sets(compared: Mapping[str, Sequence[Compared]]) -> list[AcrossSets]:
                 ends = [_interval(row, figure) for row in rows.values()]
                 known = [end for end in ends if end is not None]
                 # intervals all meet one another if and only if the last to begin does so before any ends
-                apart = (
-                    max(end[0] for end in known) > min(end[1] for end in known) if len(known) > 1 else None
-                )
+                apart = None
+                if len(known) > 1:
+                    apart = max(low for low, _ in known) > min(high for _, high in known)
                 found.append(AcrossSets(same[0].variant.name, figure, values, apart))
     return found
 
 
 def across_to_csv(found: Sequence[AcrossSets]) -> str:
     """Write a line for each variant and figure."""
-    stream = io.StringIO(newline="")
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["variant", "figure", *found[0].values, "difference", "apart"] if found else ["variant"])
-    for one in found:
-        values = ["" if value is None else value for value in one.values.values()]
-        difference = "" if math.isnan(one.difference) else one.difference
-        apart = "" if one.apart is None else str(one.apart).lower()
-        writer.writerow([one.variant, one.figure, *values, difference, apart])
-    return stream.getvalue()
+    head = ["variant", "figure", *found[0].values, "difference", "apart"] if found else ["variant"]
+    apart = {None: "", True: "true", False: "false"}
+    lines = [
+        [one.variant, one.figure, *one.values.values(), one.difference, apart[one.apart]] for one in found
+    ]
+    return csv_of([head, *lines])
 
 
 def _interval(row: Mapping[str, Value], figure: str) -> tuple[float, float] | None:
@@ -274,14 +275,14 @@ def tables_of(title: str, compared: Sequence[Compared]) -> list[Table]:
         if not columns and tables:
             continue
         table = _table(Text(heading) if heading else None)
-        if not tables:
-            table.add_column("refused", justify="right", no_wrap=True)
-        for words, _, _ in columns:
+        for words in ([] if tables else ["refused"]) + [words for words, _, _ in columns]:
             table.add_column(words, justify="right", no_wrap=True)
         for one, row in zip(compared, rows, strict=True):
-            cells = [_cell(row[key], form) for _, key, form in columns]
-            style = "red" if one.failure else ""
-            table.add_row(Text(one.variant.name, style=style), *_refused(one, not tables), *cells)
+            cells = [Text(_cell(row[key], form)) for _, key, form in columns]
+            if not tables:
+                measured = "{refused}/{acquisitions}".format(**row)
+                cells.insert(0, Text("failed", "red") if one.figures is None else Text(measured))
+            table.add_row(Text(one.variant.name, style="red" if one.failure else ""), *cells)
         tables.append(table)
     return tables
 
@@ -295,17 +296,7 @@ def _table(title: Text | None) -> Table:
 def _cell(value: Value, form: str) -> str:
     if value is None:
         return ""
-    if form == "share":
-        assert isinstance(value, float)
-        return share(value)
-    return format(value, form)
-
-
-def _refused(one: Compared, wanted: bool) -> list[Text]:
-    if not wanted:
-        return []
-    figures = one.figures
-    return [Text("failed", "red") if figures is None else Text(f"{figures.refused}/{figures.acquisitions}")]
+    return share(float(value)) if form == "share" else format(value, form)
 
 
 def across_table(found: Sequence[AcrossSets]) -> Table:

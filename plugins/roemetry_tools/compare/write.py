@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import platform
 import shlex
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields, is_dataclass
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -14,12 +14,11 @@ from typing import Any
 
 from roemetry.errors import OutputError
 from roemetry.io.files import LineFile, json_values, make_folder, write_whole
-from roemetry_tools.compare.aggregate import Figures, estimates_of
-from roemetry_tools.compare.agreement import RESAMPLES, Recall, Reliability, Shift, Terms
+from roemetry_tools.compare.agreement import RESAMPLES, Interval, Terms
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.kept import KEPT
 from roemetry_tools.compare.ranking import Compared, Standing, choices_of
-from roemetry_tools.compare.score import Pair, Scored
+from roemetry_tools.compare.score import Errors, Figures, Pair, Scored, estimates_of
 from roemetry_tools.compare.tables import GROUPS, centre_figures, coding_shares, first_lines_of, to_csv
 from roemetry_tools.compare.variants import Variant
 
@@ -65,90 +64,71 @@ class ItemsFile:
 
 
 def write_comparison(
-    folder: Path,
-    compared: Sequence[Compared],
-    data: Data,
-    *,
-    terms: Terms,
-    command: Sequence[str] = (),
+    folder: Path, compared: Sequence[Compared], data: Data, *, terms: Terms, command: Sequence[str] = (),
     began: datetime,
-) -> tuple[Path, ...]:
+) -> tuple[Path, ...]:  # fmt: skip
     """Write table, JSON and page, and give the files; `command` is without the program's name."""
     from roemetry_tools.compare.page import page
 
-    told = described(compared, data, terms=terms, command=command, began=began)
+    base = compared[0].variant.recipe
+    assert base is not None
+    libraries = ("numpy", "numba", "opencv-contrib-python-headless")
+    told: dict[str, Any] = json_values(
+        {
+            "roemetry_comparison": 1,
+            "answer": first_lines_of(compared, terms, data.without_truth),
+            "roemetry_version": version("roemetry"),
+            "began": began.isoformat(timespec="seconds"),
+            "command": shlex.join(["roemetry", *command]) if command else "",
+            "recipe": str(base.path),
+            "product": base.product,
+            "sets": list(base.sets),
+            "data": data.described(),
+            "terms": {**asdict(terms), "resamples": RESAMPLES},
+            "choices": [asdict(choice) for choice in choices_of(compared, terms)],
+            "libraries": {name: version(name) for name in libraries},
+            "python": platform.python_version(),
+            "platform": platform.platform(),
+            "variants": [_variant(one) for one in compared],
+        }
+    )
     write_whole(folder / SUMMARY, json.dumps(told, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
     write_whole(folder / TABLE, to_csv(compared))
     write_whole(folder / PAGE, page(compared, told))
     return tuple(folder / name for name in (PAGE, TABLE, SUMMARY, ITEMS))
 
 
-def described(
-    compared: Sequence[Compared], data: Data, *, terms: Terms, command: Sequence[str], began: datetime
-) -> dict[str, Any]:
-    """Tell everything as plain values, fit for JSON."""
-    base = compared[0].variant.recipe
-    assert base is not None
-    libraries = ("numpy", "numba", "opencv-contrib-python-headless")
-    told = {
-        "roemetry_comparison": 1,
-        "answer": first_lines_of(compared, terms, data.without_truth),
-        "roemetry_version": version("roemetry"),
-        "began": began.isoformat(timespec="seconds"),
-        "command": shlex.join(["roemetry", *command]) if command else "",
-        "recipe": str(base.path),
-        "product": base.product,
-        "sets": list(base.sets),
-        "data": data.described(),
-        "terms": {**asdict(terms), "resamples": RESAMPLES},
-        "choices": [asdict(choice) for choice in choices_of(compared, terms)],
-        "libraries": {name: version(name) for name in libraries},
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "variants": [_variant(one) for one in compared],
-    }
-    plain: dict[str, Any] = json_values(told)
-    return plain
-
-
 def _variant(one: Compared) -> dict[str, Any]:
     variant, recipe, figures = one.variant, one.variant.recipe, one.figures
+    calibration = None if recipe is None else recipe.calibration
+    stages = None if recipe is None else {kind: stage.described() for kind, stage in recipe.stages.items()}
     return {
         "variant": variant.number,
         "name": variant.name,
         "settings": dict(variant.settings),
         "status": one.status,
         "reason": one.failure,
-        "stopped": None if one.stopped is None else one.stopped._asdict(),
+        "stopped": _named(one.stopped),
         "recipe_sha256": None if recipe is None else recipe.sha256,
-        "calibration_sha256": None
-        if recipe is None or recipe.calibration is None
-        else recipe.calibration.sha256,
-        "stages": None
-        if recipe is None
-        else {kind: chosen.described() for kind, chosen in recipe.stages.items()},
+        "calibration_sha256": None if calibration is None else calibration.sha256,
+        "stages": stages,
         "figures": None if figures is None else {**_figures(figures), **_standing(one.standing)},
     }
 
 
 def _figures(figures: Figures) -> dict[str, Any]:
-    classes = figures.classes
+    classes, centres, on_product = figures.classes, figures.centres, figures.centres_on_product
     return {
         "acquisitions": figures.acquisitions,
         "refused": figures.refused,
         "refused_because": [asdict(cause) for cause in figures.causes],
         "said_of_the_others": [asdict(cause) for cause in figures.warnings],
-        **{
-            group: None if (errors := figures.errors[quantity]) is None else _errors(asdict(errors), unit)
-            for group, quantity, unit in GROUPS
-        },
+        **{group: _errors(figures.errors[quantity], unit) for group, quantity, unit in GROUPS},
         "volume_true_from_visible_n": figures.true_from_visible,
         "classes": None if classes is None else {"n": classes.n, **asdict(classes)},
         "coding": None if figures.coding is None else coding_shares(figures.coding),
-        "centres": None if figures.centres is None else centre_figures("centre", figures.centres),
-        "centres_on_product": None
-        if figures.centres_on_product is None
-        else centre_figures("centre_on_product", figures.centres_on_product),
+        "centres": None if centres is None else centre_figures("centre", centres),
+        "centres_on_product": None if on_product is None else centre_figures("centre_on_product", on_product),
         "seconds": {step: quartiles._asdict() for step, quartiles in figures.seconds.items()},
         "absent": dict(figures.absent),
     }
@@ -156,33 +136,36 @@ def _figures(figures: Figures) -> dict[str, Any]:
 
 def _standing(standing: Standing) -> dict[str, Any]:
     """Tell how a variant stands beside truth and recipe; intervals as [low, high]."""
+
+    def by_group(found: Mapping[str, Any]) -> dict[str, Any]:
+        return {group: _named(found[name]) for group, name, _ in GROUPS if name in found}
+
     return {
-        "to_truth": {
-            group: asdict(standing.truth[name]) for group, name, _ in GROUPS if name in standing.truth
-        },
-        "to_recipe": {
-            group: asdict(standing.recipe[name]) for group, name, _ in GROUPS if name in standing.recipe
-        },
-        "nearer_pct": {
-            group: _named(standing.nearer[name]) for group, name, _ in GROUPS if name in standing.nearer
-        },
-        "recalls": [_named(recall) for recall in standing.recalls],
+        "to_truth": by_group(standing.truth),
+        "to_recipe": by_group(standing.recipe),
+        "nearer_pct": by_group(standing.nearer),
+        "recalls": _named(standing.recalls),
         "balanced_interval": standing.balanced_interval,
-        "balanced_shift": None if standing.balanced_shift is None else _named(standing.balanced_shift),
-        "reliability": None if standing.reliability is None else _named(standing.reliability),
+        "balanced_shift": _named(standing.balanced_shift),
+        "reliability": _named(standing.reliability),
     }
 
 
-def _named(found: Shift | Recall | Reliability) -> dict[str, Any]:
+def _named(found: Any) -> Any:
     """Give a record's fields by name, those of the records in it too; but an interval stays [low, high]."""
-    if isinstance(found, Reliability):
-        bins = [one._asdict() for one in found.bins]
-        return {**asdict(found), "excess": _named(found.excess), "bins": bins}
-    return found._asdict()
+    if is_dataclass(found):
+        return {one.name: _named(getattr(found, one.name)) for one in fields(found)}
+    if isinstance(found, Interval) or not isinstance(found, tuple):
+        return found
+    if hasattr(found, "_asdict"):
+        return {name: _named(value) for name, value in found._asdict().items()}
+    return [_named(one) for one in found]
 
 
-def _errors(errors: dict[str, Any], unit: str) -> dict[str, Any]:
-    return {f"rmse_{unit}" if name == "rmse" else name: value for name, value in errors.items()}
+def _errors(errors: Errors | None, unit: str) -> dict[str, Any] | None:
+    if errors is None:
+        return None
+    return {f"rmse_{unit}" if name == "rmse" else name: value for name, value in asdict(errors).items()}
 
 
 def _line(variant: Variant, scored: Scored, pair: Pair) -> dict[str, Any]:

@@ -23,8 +23,9 @@ from roemetry.errors import ConfigurationError, DataError, InterruptedRunError
 from roemetry.io.files import write_whole
 from roemetry.io.remote import folder_for
 from roemetry.stages.registry import discover
+from roemetry_tools.compare import say
 from roemetry_tools.compare.agreement import Terms
-from roemetry_tools.compare.comparison import compare
+from roemetry_tools.compare.comparison import Measuring, compare
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.kept import KEPT, KeptScores
 from roemetry_tools.compare.ranking import Compared
@@ -32,9 +33,16 @@ from roemetry_tools.compare.score import Scored
 from roemetry_tools.compare.tables import WORDS, warning_of
 from roemetry_tools.compare.variants import Space, Variant
 from roemetry_tools.compare.write import ItemsFile, write_comparison
-from roemetry_tools.optimise.kept_trials import TRIED, KeptTrials
-from roemetry_tools.optimise.search import Search, Trial, finalists, to_csv
-from roemetry_tools.optimise.trueness import Trueness, field_of
+from roemetry_tools.optimise.search import (
+    TRIED,
+    KeptTrials,
+    Search,
+    Trial,
+    Trueness,
+    field_of,
+    finalists,
+    to_csv,
+)
 
 TRIALS = "trials.csv"
 
@@ -155,15 +163,8 @@ def optimise(
                     KeptScores(folder, variants, rest, terms, resume=resume) as scores,
                     progress("comparing", quiet=False) as shown,
                 ):
-                    compared = compare(
-                        variants,
-                        rest,
-                        terms=terms,
-                        executor=executor,
-                        kept=scores,
-                        on_scored=add,
-                        on_progress=shown,
-                    )
+                    how: Measuring = {"executor": executor, "kept": scores, "on_scored": add}
+                    compared = compare(variants, rest, terms=terms, **how | {"on_progress": shown})
         except KeyboardInterrupt as stop:
             raise InterruptedRunError(
                 f"stopped; what was tried is kept in {folder}",
@@ -172,12 +173,9 @@ def optimise(
         files = write_comparison(folder, compared, rest, terms=terms, command=sys.argv[1:], began=began)
         for name in (TRIED, KEPT):
             (folder / name).unlink()
-    console = Console()
-    console.print(_table(search.trials[0], chosen, last, compared))
-    for line in _last_word(chosen[0], field, last, compared):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-    for file in (folder / TRIALS, *files):
-        console.print(f"  {destination / file.relative_to(folder)}", highlight=False, soft_wrap=True)
+    Console().print(_table(search.trials[0], chosen, last, compared))
+    say(_last_word(chosen[0], field, last, compared))
+    say(f"  {destination / file.relative_to(folder)}" for file in (folder / TRIALS, *files))
 
 
 def _table(as_it_is: Trial, chosen: Sequence[Trial], last: Trueness, compared: Sequence[Compared]) -> Table:
@@ -193,14 +191,8 @@ def _table(as_it_is: Trial, chosen: Sequence[Trial], last: Trueness, compared: S
         found = figures[number]
         frame = None if found is None else found.seconds.get("frame")
         time_ms = math.nan if frame is None else 1000.0 * frame.median
-        cells = (
-            f"{one.error_pct:.2f}",
-            f"{error_pct:.2f}",
-            str(missing),
-            f"{one.time_ms:.2f}",
-            f"{time_ms:.2f}",
-        )
-        table.add_row(Text(one.variant.name), *(cell.replace("nan", "") for cell in cells))
+        cells = f"{one.error_pct:.2f} {error_pct:.2f} {missing} {one.time_ms:.2f} {time_ms:.2f}"
+        table.add_row(Text(one.variant.name), *cells.replace("nan", "").split(" "))
     return table
 
 

@@ -1,27 +1,40 @@
-"""Search by Optuna: recipes are proposed in batches, from what was found of those before."""
+"""Search by Optuna: recipes are proposed in batches, from what was found of those before.
+
+They are judged by how near they are to the truth over all products that are known, measured or not.
+"""
 
 from __future__ import annotations
 
-import csv
-import io
+import hashlib
+import json
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
-from roemetry.errors import ConfigurationError, PluginError
+from roemetry.errors import ConfigurationError, DataError, OutputError, PluginError
+from roemetry.io.files import make_folder
 from roemetry.run.executors import Executor
-from roemetry_tools.compare.aggregate import Figures
+from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.comparison import measure
 from roemetry_tools.compare.data import Data
+from roemetry_tools.compare.kept import KEPT, KeptLines, KeptScores, identity_of
+from roemetry_tools.compare.score import QUANTITIES, Figures, Scored, beside_truth
+from roemetry_tools.compare.tables import WORDS, csv_of
 from roemetry_tools.compare.variants import Axis, Space, Variant, recipe_of
-from roemetry_tools.optimise.kept_trials import KeptTrials, TrialFigures
-from roemetry_tools.optimise.trueness import Trueness
 
 _BATCH = 8
 """Recipes that are tried at once: they share the steps that are the same, and the start of the workers."""
 _FINALISTS = 6
 """Recipes of the front that go on to the held-out part, at most."""
+
+
+TRIED = ".tried"
+
+TrialFigures = tuple[float, int, float, str]
+"""Of a trial: error, %; products missing; time, ms; and its fault."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -43,15 +56,55 @@ class Trial:
         return math.isfinite(self.error_pct) and math.isfinite(self.time_ms)
 
 
+class KeptTrials(KeptLines):
+    """A line in the search's folder for each recipe that was tried; a stopped search goes on where it was.
+
+    Optuna's own storages keep trials, but not where its sampler's random numbers are. So the search is begun
+    again with what is kept here in place of measuring: with the same figures it proposes the same recipes.
+    `told` decides the proposals besides the space: seed, quantity. OutputError where the folder holds a
+    search that was stopped and is not to be gone on with, or another one.
+    """
+
+    def __init__(
+        self, folder: Path, space: Space, data: Data, told: Sequence[object], *, resume: bool
+    ) -> None:
+        make_folder(folder)
+        self._folder, self._data, self._resume = folder, data, resume
+        if (folder / TRIED).exists() and not resume:
+            raise OutputError(
+                f"{folder}: there is a search in this folder that was stopped",
+                hint="go on with it by --resume, or choose another folder with --out",
+            )
+        axes = [(axis.key, axis.values) for axis in space.axes]
+        decides = f"{identity_of([space.as_it_is], data, Terms())} {axes} {[*told]}"
+        other = "search in this folder is of another recipe, space, seed or data"
+        super().__init__(folder / TRIED, hashlib.sha256(decides.encode()).hexdigest(), other)
+        self._known = dict(self.read(_read, "search"))
+
+    def figures_of(self, variant: Variant) -> TrialFigures | None:
+        """Give what a recipe came to before; None where it was not tried."""
+        return self._known.get(str(recipe_of(variant)))
+
+    def scores(self, variants: Sequence[Variant]) -> KeptScores:
+        """Give the file that keeps what acquisitions score while these recipes are tried."""
+        return KeptScores(self._folder, variants, self._data, Terms(), resume=self._resume)
+
+    def add(self, tried: Sequence[tuple[Variant, TrialFigures]]) -> None:
+        """Keep what recipes came to, instead of what acquisitions scored."""
+        (self._folder / KEPT).unlink(missing_ok=True)
+        self.append("\n".join(json.dumps([str(recipe_of(one)), of]) for one, of in tried))
+
+
+def _read(line: str) -> tuple[str, TrialFigures]:
+    name, (error_pct, missing, time_ms, fault) = json.loads(line)
+    return str(name), (float(error_pct), int(missing), float(time_ms), str(fault))
+
+
 class Search:
     """Tries recipes of a space; the same seed and the same figures give the same proposals.
 
-    Raises
-    ------
-    ConfigurationError
-        A range is wrong.
-    PluginError
-        Optuna is not installed.
+    - Raises ConfigurationError: A range is wrong.
+    - Raises PluginError: Optuna is not installed.
     """
 
     def __init__(self, space: Space, seed: int) -> None:
@@ -168,18 +221,15 @@ def finalists(trials: Sequence[Trial]) -> list[Trial]:
 
 def to_csv(trials: Sequence[Trial], axes: Sequence[Axis]) -> str:
     """Write a line for each recipe that was tried."""
-    stream = io.StringIO(newline="")
-    writer = csv.writer(stream, lineterminator="\n")
     head = ["trial", "name", *(f"set {axis.key}" for axis in axes)]
-    writer.writerow([*head, "error_pct", "missing", "time_ms", "front", "reason"])
+    lines: list[list[object]] = [[*head, "error_pct", "missing", "time_ms", "front", "reason"]]
     front = {one.variant.number for one in front_of(trials)}
     for one in trials:
-        variant = one.variant
-        settings = [variant.settings.get(axis.key, "") for axis in axes]
-        figures = ["" if math.isnan(value) else value for value in (one.error_pct, one.missing, one.time_ms)]
-        on_front = str(variant.number in front).lower()
-        writer.writerow([variant.number, variant.name, *settings, *figures, on_front, one.fault])
-    return stream.getvalue()
+        number, name = one.variant.number, one.variant.name
+        settings = [one.variant.settings.get(axis.key, "") for axis in axes]
+        figures = (one.error_pct, one.missing, one.time_ms)
+        lines.append([number, name, *settings, *figures, str(number in front).lower(), one.fault])
+    return csv_of(lines)
 
 
 def _domain(axis: Axis, distributions: Any) -> Any:
@@ -205,3 +255,59 @@ def _domain(axis: Axis, distributions: Any) -> Any:
 def _text(value: object) -> str:
     """Write a proposed value as on the command line; six digits are finer than any option."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+_MISSING_PCT = 100.0
+"""Error of a product that was not measured, and of any other at most: else who refuses what is difficult
+would be the nearest.
+"""
+
+
+class Trueness:
+    """Adds up the absolute errors of a quantity, by the number of the variant."""
+
+    def __init__(self, field: str) -> None:
+        self._field = field
+        self._errors: defaultdict[int, list[float]] = defaultdict(list)
+        self._missing: defaultdict[int, int] = defaultdict(int)
+
+    def add(self, variant: Variant, scored: Scored) -> None:
+        """Add what a variant made of an acquisition."""
+        for pair in scored.pairs:
+            value, true = beside_truth(pair, self._field)
+            if not true > 0.0:
+                continue
+            measured = value is not None and math.isfinite(value)
+            self._missing[variant.number] += not measured
+            error = 100.0 * abs(value / true - 1.0) if measured and value is not None else _MISSING_PCT
+            self._errors[variant.number].append(min(error, _MISSING_PCT))
+
+    def of(self, number: int) -> tuple[float, int]:
+        """Give the mean absolute error, %, NaN without any, and how many products were not measured."""
+        errors = self._errors[number]
+        return math.fsum(errors) / len(errors) if errors else math.nan, self._missing[number]
+
+
+def field_of(data: Data, wanted: str | None) -> str:
+    """Give the quantity to judge by: the one that is wanted, else the first that the data know.
+
+    DataError where they know none, or not that one.
+    """
+    known = [
+        name
+        for name in QUANTITIES
+        if any(
+            getattr(product, name) > 0.0
+            for unit in data.units()
+            for product in (() if unit.item is None else unit.item.products)
+        )
+    ]
+    if wanted in known:
+        return wanted
+    if wanted is not None or not known:
+        what = "neither volume nor weight" if wanted is None else f"no {WORDS[wanted]}"
+        raise DataError(
+            f"nothing to search by: {data.without_truth or f'the data set knows {what} of any product'}",
+            hint="name a data set with truth by --data, or another quantity by --by",
+        )
+    return known[0]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from roemetry.cli.options import set_option
 
 _CHECKED = 5  # rows of the table shown in the terminal; the page has all
 
@@ -26,12 +29,7 @@ def plan(
         bool, typer.Option("--simulate", help="Put short simulations of flat plates beside the prediction.")
     ] = False,
     sets: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Change the scene, e.g. simulator.options.laser.planes=15; may be given several times.",
-        ),
+        list[str] | None, set_option("Change the scene, e.g. simulator.options.laser.planes=15")
     ] = None,
     as_json: Annotated[
         bool,
@@ -72,28 +70,26 @@ def _show(name: str, plan: Plan, path: Path | None) -> None:
     from rich.console import Console
 
     console = Console()
+    say = partial(console.print, highlight=False, markup=False, soft_wrap=True)
     if plan.answer is not None:
         for line in (plan.answer.text, *(f"  or: {change}" for change in plan.answer.changes[1:])):
-            console.print(line, highlight=False, markup=False, soft_wrap=True)
+            say(line)
     console.print(_figures(name, plan))
     for table in plan.tables:
         if table.name == "check":
             console.print(_table(table))
     for reason in plan.reasons:
-        console.print(reason.text, highlight=False, markup=False, soft_wrap=True)
+        say(reason.text)
     if path is not None:
-        console.print(f"  {path}", highlight=False, soft_wrap=True)
+        say(f"  {path}")
 
 
 def _figures(name: str, plan: Plan) -> Table:
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from roemetry_tools.plan.page import written
 
-    table = Table(title=name, title_justify="left", box=None)
-    table.add_column("")
-    table.add_column("", justify="right")
-    table.add_column("")
+    table = Table("", Column(justify="right"), "", title=name, title_justify="left", box=None)
     for figure in plan.figures:
         table.add_row(figure.title, written(figure), "" if figure.unit == "1" else figure.unit)
     return table

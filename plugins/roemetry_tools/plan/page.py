@@ -89,6 +89,7 @@ COLOURS = ("#0d689c", "#d98a12", "#2c8a5f", "#8a6fd1")
 _RAMP = ("#fdf6d8", "#f9d48b", "#f2a65e", "#dd7360", "#b04a70", "#73346f", "#3a1f55")
 _NAME_HEIGHT = 15.0  # of a line of text
 _SIDE_WIDTH = 900.0  # of the side view, in units of the drawing
+_LOOKING_DOWN = ((-13, -16), (13, -16), (13, 0), (5, 0), (0, 6), (-5, 0), (-13, 0))  # a camera's outline
 
 
 def side_view(sketch: Sequence[PlanShape]) -> Markup:
@@ -169,14 +170,8 @@ def curves_plot(one: PlanCurves) -> Markup:
         body += [line(left, y_axis(v), right, y_axis(v), "grid"), text(left - 6, y_axis(v) + 4, words, "end")]
     body += [text(x_axis(v), bottom + 16, words) for v, words in x_axis.ticks(8)]
     body += [text(right, bottom + 34, f"{one.over.title}{_unit(one.over.unit)}", "end")]
-    body += [
-        text(
-            0,
-            12,
-            f"{one.lines[0].title if len(one.lines) == 1 else ''}{_unit(one.lines[0].unit)}".lstrip(", "),
-            "start",
-        )
-    ]
+    upwards = (one.lines[0].title if len(one.lines) == 1 else "") + _unit(one.lines[0].unit)
+    body += [text(0, 12, upwards.lstrip(", "), "start")]
     for curve, colour in zip(one.lines, COLOURS, strict=False):
         there = np.isfinite(curve.values)
         x, y = one.over.values[there], curve.values[there]
@@ -209,15 +204,7 @@ def _part(one: PlanShape, x_axis: Axis, z_axis: Axis, named: list[float]) -> lis
         return [*body, text(at[1][0] + 34, beside(at[2][1]), words, "start name")] if words else body
     if one.kind in ("camera", "projector"):
         ((x, y),) = at
-        down = [
-            (x - 13, y - 16),
-            (x + 13, y - 16),
-            (x + 13, y),
-            (x + 5, y),
-            (x, y + 6),
-            (x - 5, y),
-            (x - 13, y),
-        ]
+        down = [(x + right, y + below) for right, below in _LOOKING_DOWN]
         return [shape(down, one.kind), text(x + 19, y - 3, words, "start name")]
     body = [line(*at[0], *at[1], one.kind)]
     if words:

@@ -10,6 +10,8 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import reduce
+from operator import getitem
 from typing import Any
 
 from roemetry.errors import ConfigurationError
@@ -37,10 +39,8 @@ def edited(text: str, name: str, wanted: Any) -> str:
     Comments inside a list that changes, and those beside an option that is taken away, are kept as comments
     of their own.
 
-    Raises
-    ------
-    ConfigurationError
-        The text cannot be changed so, for instance where a value comes from an anchor.
+    - Raises ConfigurationError: The text cannot be changed so, for instance where a value comes from an
+      anchor.
     """
     at = name
     for _ in range(_MOST_CHANGES):
@@ -63,14 +63,12 @@ def edited(text: str, name: str, wanted: Any) -> str:
 
 def differences(before: Any, after: Any) -> list[tuple[str, str, str]]:
     """Give path, old and new value of everything that differs; an empty text where there is nothing."""
-    return [
-        (
-            ".".join(map(str, change.path)),
-            "" if change.new else inline(_at(before, change.path)),
-            "" if change.value is _GONE else inline(change.value),
-        )
-        for change in _changes(before, after)
-    ]
+    found = []
+    for change in _changes(before, after):
+        old = "" if change.new else inline(reduce(getitem, change.path, before))
+        new = "" if change.value is _GONE else inline(change.value)
+        found.append((".".join(map(str, change.path)), old, new))
+    return found
 
 
 def inline(value: Any) -> str:
@@ -111,12 +109,6 @@ def _same(one: Any, other: Any) -> bool:
     if isinstance(one, list | tuple) and isinstance(other, list | tuple):
         return len(one) == len(other) and all(map(_same, one, other))
     return bool(one == other) and isinstance(one, bool) == isinstance(other, bool)
-
-
-def _at(value: Any, path: tuple[Step, ...]) -> Any:
-    for step in path:
-        value = value[step]
-    return value
 
 
 def _applied(text: str, change: _Change) -> str:
@@ -233,16 +225,11 @@ def _node_at(text: str, path: tuple[Step, ...]) -> Any:
 
 def _entries_of(text: str, node: Any) -> list[_Entry]:
     """Give the entries of a map's node."""
-    return [
-        _Entry(
-            key.value,
-            key.start_mark.index,
-            text.index(":", key.end_mark.index) + 1,
-            value.start_mark.index,
-            _end(value),
-        )
-        for key, value in node.value
-    ]
+    found = []
+    for key, value in node.value:
+        colon = text.index(":", key.end_mark.index) + 1
+        found.append(_Entry(key.value, key.start_mark.index, colon, value.start_mark.index, _end(value)))
+    return found
 
 
 def _composed(text: str) -> Any:

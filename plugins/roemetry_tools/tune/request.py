@@ -204,20 +204,13 @@ def _field(name: str, given: Mapping[str, Any], required: bool) -> FormField:
     options = given.get("anyOf", [given])
     words = [option.get("const") for option in options if _is_word(option)]
     open_to = [option for option in options if not _is_word(option)]
-    field = {
-        "name": name,
-        "description": given.get("description", ""),
-        "unit": _unit(name),
-        "required": required,
-    }
+    told = given.get("description", "")
+    field = {"name": name, "description": told, "unit": _unit(name), "required": required}
     field |= {"default": given.get("default"), "choices": [], "words": words}
     field |= {"low": None, "high": None, "low_open": False, "high_open": False}
     if not open_to:
-        return field | {
-            "kind": "choice",
-            "choices": [word for word in words if word is not None],
-            "words": [],
-        }
+        choices = [word for word in words if word is not None]
+        return field | {"kind": "choice", "choices": choices, "words": []}
     return field | ({"kind": "yaml", "words": []} if len(open_to) > 1 else _kind(open_to[0]))
 
 
@@ -240,15 +233,11 @@ def _kind(option: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _bounds(option: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    for key, name, is_open in (
-        ("minimum", "low", False),
-        ("maximum", "high", False),
-        ("exclusiveMinimum", "low", True),
-        ("exclusiveMaximum", "high", True),
-    ):
-        if key in option:
-            yield name, float(option[key])
-            yield f"{name}_open", is_open
+    for end, name in (("inimum", "low"), ("aximum", "high")):
+        for key, is_open in ((f"m{end}", False), (f"exclusiveM{end}", True)):
+            if key in option:
+                yield name, float(option[key])
+                yield f"{name}_open", is_open
 
 
 def _unit(name: str) -> str:
@@ -265,32 +254,25 @@ def form_of(base: Any, recipe: Recipe, registry: Registry) -> dict[str, Any]:
     """Describe a form for a recipe's values: its source, its stages, and all that may be chosen."""
     chosen = stages_of(base)
     said = base.get("source", {})
-    source_fields = fields_of(SourceChoice, _NOT_IN_FORM)
-    options = fields_of(recipe.source.stage.Options)
-    for option in options:
-        option["name"] = f"options.{option['name']}"
-    return {
-        "source": {
-            "use": recipe.source_choice.use,
-            "fields": source_fields + options,
-            "stated": {
-                **_stated({key: value for key, value in said.items() if key not in _NOT_IN_FORM}),
-                **{f"options.{name}": text for name, text in _stated(said.get("options") or {}).items()},
-            },
-        },
-        "stages": [
+    fields = fields_of(SourceChoice, _NOT_IN_FORM)
+    for option in fields_of(recipe.source.stage.Options):
+        fields.append(option | {"name": f"options.{option['name']}"})
+    stated = {key: value for key, value in said.items() if key not in _NOT_IN_FORM}
+    stated |= {f"options.{name}": value for name, value in (said.get("options") or {}).items()}
+    stages = []
+    for kind in KINDS:
+        own = chosen.get(kind)
+        stages.append(
             {
                 "kind": kind,
                 "needs": NEEDS.get(kind, ""),
                 "required": kind not in NEEDS and kind in chosen,
-                "chosen": None
-                if kind not in chosen
-                else {"use": chosen[kind]["use"], "options": _stated(chosen[kind]["options"])},
+                "chosen": None if own is None else {"use": own["use"], "options": _stated(own["options"])},
                 "choices": _choices(kind, registry),
             }
-            for kind in KINDS
-        ],
-    }
+        )
+    source = {"use": recipe.source_choice.use, "fields": fields, "stated": _stated(stated)}
+    return {"source": source, "stages": stages}
 
 
 def _stated(values: Mapping[str, Any]) -> dict[str, str]:
@@ -302,17 +284,13 @@ def _choices(kind: str, registry: Registry) -> list[dict[str, Any]]:
     """Give every plugin of a kind; two of one name are told apart by who provides them."""
     found = registry.of_kind(kind)
     names = [one.entry.name for one in found]
-    return [
-        {
-            "use": one.entry.name
-            if names.count(one.entry.name) == 1
-            else f"{one.provider.name}/{one.entry.name}",
-            "summary": one.entry.summary,
-            "reference": one.entry.reference,
-            **_options_of(one, registry),
-        }
-        for one in found
-    ]
+    choices = []
+    for one in found:
+        entry, alone = one.entry, names.count(one.entry.name) == 1
+        use = entry.name if alone else f"{one.provider.name}/{entry.name}"
+        told = {"use": use, "summary": entry.summary, "reference": entry.reference}
+        choices.append(told | _options_of(one, registry))
+    return choices
 
 
 def _options_of(one: Registered, registry: Registry) -> dict[str, Any]:

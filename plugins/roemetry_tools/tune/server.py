@@ -43,10 +43,7 @@ class SaveRequest(BaseModel):
 def app_of(session: Session, token: str = "") -> Starlette:
     """Make the application for one recipe.
 
-    Parameters
-    ----------
-    token
-        First part of every address: what does not know it is answered with 404. Empty: there is none.
+    - `token`: First part of every address: what does not know it is answered with 404. Empty: there is none.
     """
     from starlette.applications import Starlette
     from starlette.concurrency import run_in_threadpool
@@ -103,17 +100,10 @@ def app_of(session: Session, token: str = "") -> Starlette:
 def serve(session: Session, port: int, on_ready: Callable[[str], None]) -> None:
     """Serve the page until the user stops it.
 
-    Parameters
-    ----------
-    port
-        0: any that is free.
-    on_ready
-        Called with the page's address once it can be opened.
+    - `port`: 0: any that is free.
+    - `on_ready`: Called with the page's address once it can be opened.
 
-    Raises
-    ------
-    ConfigurationError
-        The port is taken.
+    - Raises ConfigurationError: The port is taken.
     """
     token = secrets.token_urlsafe(16)  # 128 bits: other users of this machine reach the port, too
     app = app_of(session, token)

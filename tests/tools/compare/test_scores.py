@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from roemetry.records import AMBIGUOUS, UNLABELLED, Frame, Peaks, Reason, StripeMap, StripeTruth
-from roemetry_tools.compare.aggregate import NOT_GRADED, classes_of
+from roemetry_tools.compare.score import NOT_GRADED, classes_of
 from roemetry_tools.compare.stripes import (
     by_place,
     nearest,
