@@ -24,7 +24,7 @@ is refused, and it believes errors that all observations share: a wrong pitch, a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -33,6 +33,10 @@ from roemetry.errors import CalibrationError
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
 from roemetry_pinhole.geometry import (
+    NO_CORNERS,
+    NO_EDGES,
+    NO_FEET,
+    NO_POINTS,
     ON_BELT,
     Corners,
     Edges,
@@ -43,12 +47,9 @@ from roemetry_pinhole.geometry import (
     corner_residuals,
     corner_rows,
     edge_rows,
-    foot_residuals,
     foot_rows,
-    no_edges,
     stripe_residuals,
     stripe_rows,
-    unknowns_of,
 )
 
 TOLERANCE = 1e-11
@@ -86,7 +87,7 @@ class Problem:
     feet: Feet
     foot_std_mm: float | Floats
     weights: Weights
-    edges: Edges = field(default_factory=no_edges)
+    edges: Edges = NO_EDGES
 
     @property
     def scale_min(self) -> float:
@@ -95,15 +96,14 @@ class Problem:
 
     def solve(self, geometry: Geometry, tolerance: float) -> Geometry:
         """Levenberg–Marquardt until a step gains less than the share `tolerance` of the cost."""
+        from scipy.linalg import cho_solve
+
         damping, cost = 1e-4, self.cost(geometry)
         for _ in range(_ROUNDS_MAX):
             normal, gradient = self.normal(geometry)
-            diagonal = np.diag(normal).copy()
-            if not (diagonal > 0).all():
-                raise _undetermined()
             while True:
-                step = _solved(normal, diagonal, damping, gradient)
-                moved = self.unknowns.moved(geometry, -step)
+                factor, scale = _factored(normal, damping)
+                moved = self.unknowns.moved(geometry, -scale * cho_solve(factor, scale * gradient))
                 new_cost = self.cost(moved)
                 if new_cost <= cost * (1.0 + 1e-12):
                     break
@@ -120,34 +120,37 @@ class Problem:
 
     def normal(self, geometry: Geometry) -> tuple[Floats, Floats]:
         """Normal matrix and gradient."""
-        size = self.unknowns.count
+        size, weights = self.unknowns.count, self.weights
         normal, gradient = np.zeros((size, size)), np.zeros(size)
         marks = corner_rows(geometry, self.unknowns, self.corners)
         stripes = stripe_rows(geometry, self.unknowns, self.points)
         stands = foot_rows(geometry, self.unknowns, self.feet)
         rims = edge_rows(geometry, self.unknowns, self.edges)
-        off, far = self._off(marks.residual), self._far(stripes.residual)
+        corner, stripe = weights.corner, weights.stripe
+        if weights.robust:
+            corner = corner * _huber_weight(self._off(marks.residual))
+            stripe = stripe * _huber_weight(self._far(stripes.residual))
+        # edges stay robust, for a corner or a chip is always among them
+        rim = _huber_weight(np.abs(rims.residual) / self.edges.std_px)
         for rows, weight in (
-            (marks, np.repeat(self._share(off, self.weights.corner), 2) / self.weights.corner_std_px**2),
-            (stripes, self._share(far, self.weights.stripe) / self._stripe_variance()),
+            (marks, np.repeat(corner, 2) / weights.corner_std_px**2),
+            (stripes, stripe / self._stripe_variance()),
             (stands, np.full(stands.residual.size, 1.0) / np.square(self.foot_std_mm)),
-            (rims, self._rim_share(rims.residual) / self.edges.std_px**2),
+            (rims, rim / self.edges.std_px**2),
         ):
             add_rows(rows.columns, rows.values, rows.residual, weight, normal, gradient)
         return normal + np.tril(normal, -1).T, gradient
 
     def cost(self, geometry: Geometry) -> float:
         """Weighted squares, or Huber's loss; infinite where the geometry is impossible."""
+        weights, loss = self.weights, _huber if self.weights.robust else np.square
         off = self._off(corner_residuals(geometry, self.corners))
         far = self._far(stripe_residuals(geometry, self.points))
-        total = ((foot_residuals(geometry, self.feet) / self.foot_std_mm) ** 2).sum()
+        total = ((foot_rows(geometry, self.unknowns, self.feet).residual / self.foot_std_mm) ** 2).sum()
         rims = np.abs(edge_rows(geometry, self.unknowns, self.edges).residual) / self.edges.std_px
         total += _huber(rims).sum()
-        for distance, share in (
-            (off, self.weights.corner),
-            (far, self.weights.stripe / self.weights.correlation),
-        ):
-            total += (share * (_huber(distance) if self.weights.robust else distance**2)).sum()
+        total += (weights.corner * loss(off)).sum()
+        total += (weights.stripe / weights.correlation * loss(far)).sum()
         return float(total) if np.isfinite(total) else np.inf
 
     def marks_cost(self, geometry: Geometry) -> float:
@@ -184,16 +187,6 @@ class Problem:
     def _far(self, stripes: Floats) -> Floats:
         return np.abs(stripes) / (self.points.std_px * self.weights.stripe_scale)
 
-    def _share(self, distance: Floats, share: Floats) -> Floats:
-        """Huber's weights while robust."""
-        if not self.weights.robust:
-            return share
-        return share * np.minimum(1.0, _HUBER / np.maximum(distance, 1e-300))
-
-    def _rim_share(self, rims: Floats) -> Floats:
-        """Huber's weights: edges stay robust, for a corner or a chip is always among them."""
-        return np.minimum(1.0, _HUBER / np.maximum(np.abs(rims) / self.edges.std_px, 1e-300))
-
     def _stripe_variance(self) -> Floats:
         return (self.points.std_px * self.weights.stripe_scale) ** 2 * self.weights.correlation
 
@@ -202,27 +195,31 @@ def _huber(distance: Floats) -> Floats:
     return np.where(distance > _HUBER, _HUBER * (2.0 * distance - _HUBER), distance**2)
 
 
-def _solved(normal: Floats, diagonal: Floats, damping: float, gradient: Floats) -> Floats:
-    from scipy.linalg import LinAlgError, cho_factor, cho_solve
+def _huber_weight(distance: Floats) -> Floats:
+    return np.minimum(1.0, _HUBER / np.maximum(distance, 1e-300))
 
+
+def _factored(normal: Floats, damping: float = 0.0) -> tuple[Any, Floats]:
+    """Factor a normal matrix whose unknowns differ by many powers of ten, scaled to a diagonal of 1."""
+    from scipy.linalg import LinAlgError, cho_factor
+
+    diagonal = np.diag(normal)
+    if not (diagonal > 0).all():
+        raise _undetermined()
     scale = 1.0 / np.sqrt(diagonal)
     matrix = normal * scale[:, None] * scale[None, :]
     matrix[np.diag_indices_from(matrix)] += damping
     try:
-        return np.asarray(scale * cho_solve(cho_factor(matrix, lower=True), scale * gradient))
+        return cho_factor(matrix, lower=True), scale
     except LinAlgError as error:
         raise _undetermined() from error
 
 
 def inverse(normal: Floats) -> Floats:
-    """Invert a normal matrix whose unknowns differ by many powers of ten: the covariance."""
-    from scipy.linalg import LinAlgError, cho_factor, cho_solve
+    """Invert a normal matrix: the covariance."""
+    from scipy.linalg import cho_solve
 
-    scale = 1.0 / np.sqrt(np.diag(normal))
-    try:
-        factor = cho_factor(normal * scale[:, None] * scale[None, :], lower=True)
-    except LinAlgError as error:
-        raise _undetermined() from error
+    factor, scale = _factored(normal)
     inverse = cho_solve(factor, np.eye(len(normal)))
     return np.asarray(0.5 * (inverse + inverse.T) * scale[:, None] * scale[None, :])
 
@@ -258,15 +255,12 @@ class Adjusted:
     """What the adjustment found."""
 
     geometry: Geometry
-    """The unknowns' best values."""
     unknowns: Unknowns
-    """Where each stands in `covariance`."""
     covariance: Floats
-    """(n, n) of all unknowns."""
+    """geometry, unknowns, covariance: best values, where each unknown stands, and (n, n) of all of them."""
     corner_px: Floats
-    """(mark, 2) residuals, px."""
     stripe_px: Floats
-    """(point,) residuals, px."""
+    """corner_px, stripe_px: (mark, 2), (point,) residuals, px."""
     corner_used: Flags
     stripe_used: Flags
     """corner_used, stripe_used: (mark,), (point,) False for what was left out as far off."""
@@ -292,22 +286,11 @@ def adjust(
     feet: Feet,
     *,
     foot_std_mm: float | Floats,
-    edges: Edges | None = None,
+    edges: Edges = NO_EDGES,
 ) -> Adjusted:
-    """Find the unknowns.
+    """Find the unknowns from a start whose nearest minimum is the right one.
 
-    Parameters
-    ----------
-    geometry
-        Where to start; near enough for the nearest minimum to be the right one.
-    unknowns
-        What is looked for.
-    corners, points, feet
-        What was seen.
-    foot_std_mm
-        Standard uncertainty of the feet's heights, of all or of each.
-    edges
-        What was seen of solids' edges; None: nothing.
+    `foot_std_mm` is the standard uncertainty of the feet's heights, of all or of each.
 
     Raises
     ------
@@ -315,7 +298,7 @@ def adjust(
         What was seen does not determine the unknowns.
     """
     weights = Weights(1.0, 1.0, np.ones(corners.pose.size), np.ones(points.pose.size))
-    problem = Problem(unknowns, corners, points, feet, foot_std_mm, weights, edges or no_edges())
+    problem = Problem(unknowns, corners, points, feet, foot_std_mm, weights, edges)
     geometry = robust_prefit(problem, geometry)
     _reject_outliers(problem, geometry)
     points = problem.points = _by_surface(problem, geometry)
@@ -328,20 +311,18 @@ def adjust(
     weights.correlation = _correlation(stripe_residuals(geometry, points) / points.std_px, points, weights)
     geometry, conflict = _reweight_stripes(problem, geometry)
     problem.estimate_noise(geometry)
-    covariance = inverse(problem.normal(geometry)[0])
-    marks, stripes = corner_residuals(geometry, corners), stripe_residuals(geometry, points)
     return Adjusted(
-        geometry=geometry,
-        unknowns=unknowns,
-        covariance=covariance,
-        corner_px=marks.reshape(-1, 2),
-        stripe_px=stripes,
-        corner_used=weights.corner > 0,
-        stripe_used=weights.stripe > 0,
-        corner_std_px=weights.corner_std_px,
-        stripe_scale=weights.stripe_scale,
-        correlation=weights.correlation,
-        conflict=conflict,
+        geometry,
+        unknowns,
+        inverse(problem.normal(geometry)[0]),
+        corner_residuals(geometry, corners).reshape(-1, 2),
+        stripe_residuals(geometry, points),
+        weights.corner > 0,
+        weights.stripe > 0,
+        weights.corner_std_px,
+        weights.stripe_scale,
+        weights.correlation,
+        conflict,
     )
 
 
@@ -409,8 +390,7 @@ def _reweight_stripes(problem: Problem, geometry: Geometry) -> tuple[Geometry, f
         return problem.solve(geometry, TOLERANCE), 1.0
     weights.correlation = own * _ALMOST_NOTHING
     alone = problem.marks_cost(problem.solve(geometry, 1e-6))
-    poses = np.unique(problem.corners.pose).size
-    shared = float((problem.unknowns.camera >= 0).sum() + 3 * poses)
+    shared = float((problem.unknowns.camera >= 0).sum() + 3 * np.unique(problem.corners.pose).size)
     weights.correlation, conflict = own, 1.0
     for _ in range(_REWEIGHT_ROUNDS):
         geometry = problem.solve(geometry, TOLERANCE)
@@ -464,44 +444,32 @@ _Rows = TypeVar("_Rows", Corners, StripePoints, Feet)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Measured:
-    """What was seen, where the adjustment starts, and what it looks for."""
+    """What was seen, where the adjustment starts, and what it looks for: the arguments of `adjust`."""
 
     start: Geometry
     unknowns: Unknowns
-    """start, unknowns: see `adjust`."""
-    corners: Corners
-    points: StripePoints
-    feet: Feet
-    """corners, points, feet: what was seen."""
-    foot_std_mm: float | Floats
+    corners: Corners = NO_CORNERS
+    points: StripePoints = NO_POINTS
+    feet: Feet = NO_FEET
+    foot_std_mm: float | Floats = 0.01
     """Standard uncertainty of the feet's heights, mm: of all, or of each."""
-    edges: Edges = field(default_factory=no_edges)
-    """What was seen of solids' edges."""
+    edges: Edges = NO_EDGES
 
     def adjusted(self) -> Adjusted:
         """Adjust; raises as `adjust`."""
-        return adjust(
-            self.start,
-            self.unknowns,
-            self.corners,
-            self.points,
-            self.feet,
-            foot_std_mm=self.foot_std_mm,
-            edges=self.edges,
-        )
+        seen = self.corners, self.points, self.feet
+        return adjust(self.start, self.unknowns, *seen, foot_std_mm=self.foot_std_mm, edges=self.edges)
 
     def robust_prefit(self) -> Geometry:
         """Adjust robustly and not to the last digit; raises as `adjust`."""
         return robust_prefit(self.problem(None), self.start)
 
-    def stepped(self, found: Adjusted) -> Geometry:
-        """Give where what was found goes if this was seen instead: one step, the weights as they were."""
-        return self.step_of(found)[0]
-
     def step_of(self, found: Adjusted) -> tuple[Geometry, Floats]:
-        """Give where that step goes, and the covariance of all unknowns."""
-        problem = self.problem(found)
-        normal, gradient = problem.normal(found.geometry)
+        """Give where what was found goes if this was seen instead, and the covariance of all unknowns.
+
+        By one step, the weights as they were.
+        """
+        normal, gradient = self.problem(found).normal(found.geometry)
         covariance = inverse(normal)
         return self.unknowns.moved(found.geometry, -covariance @ gradient), covariance
 
@@ -509,38 +477,25 @@ class Measured:
         """Give what is to be solved, weighted as it was found; None: before anything is known."""
         weights = Weights(1.0, 1.0, np.ones(self.corners.pose.size), np.ones(self.points.pose.size))
         if found is not None:
+            used = found.corner_used.astype(np.float64), found.stripe_used.astype(np.float64)
+            correlation = found.correlation * found.conflict
             weights = Weights(
-                found.corner_std_px,
-                found.stripe_scale,
-                found.corner_used.astype(np.float64),
-                found.stripe_used.astype(np.float64),
-                robust=False,
-                correlation=found.correlation * found.conflict,
+                found.corner_std_px, found.stripe_scale, *used, robust=False, correlation=correlation
             )
-        return Problem(
-            self.unknowns, self.corners, self.points, self.feet, self.foot_std_mm, weights, self.edges
-        )
+        seen = self.corners, self.points, self.feet
+        return Problem(self.unknowns, *seen, self.foot_std_mm, weights, self.edges)
 
     def of(self, poses: Integers, start: Geometry) -> Measured:
         """Give what boards in some poses (ascending) and the bare belt show, from another start."""
         feet = np.isin(self.feet.pose, poses)
-        found = unknowns_of(
-            replace(start, rotation=start.rotation[poses], shift=start.shift[poses]),
-            free_camera=self.unknowns.camera >= 0,
-            planes=bool((self.unknowns.planes >= 0).any()),
-            belt=bool((self.unknowns.belt >= 0).any()),
-            travel=bool((self.unknowns.travel >= 0).any()),
-            bend=bool(self.unknowns.bend.size),
-            prints=self.unknowns.prints >= 0,
-        )
+        start = replace(start, rotation=start.rotation[poses], shift=start.shift[poses])
         return Measured(
-            replace(start, rotation=start.rotation[poses], shift=start.shift[poses]),
-            found,
+            start,
+            self.unknowns.of(start, self.unknowns.prints >= 0),
             chosen(self.corners, np.isin(self.corners.pose, poses), poses),
             chosen(self.points, np.isin(self.points.pose, [ON_BELT, *poses]), poses),
             chosen(self.feet, feet, poses),
             self.foot_std_mm if isinstance(self.foot_std_mm, float) else self.foot_std_mm[feet],
-            no_edges(),
         )
 
 
@@ -591,7 +546,7 @@ def _shared_part(problem: Problem, geometry: Geometry, pose: int, shared: Intege
         feet=chosen(problem.feet, feet),
         foot_std_mm=std_mm if np.ndim(std_mm) == 0 else np.asarray(std_mm)[feet],
         weights=replace(weights, corner=weights.corner[corners], stripe=weights.stripe[points]),
-        edges=problem.edges if pose == ON_BELT else no_edges(),
+        edges=problem.edges if pose == ON_BELT else NO_EDGES,
     )
     normal, gradient = of_pose.normal(geometry)
     both = np.column_stack([normal, gradient])

@@ -14,8 +14,8 @@ from roemetry.records.calibration import Calibration
 from roemetry.records.light import at_height, meet
 from roemetry.records.view import View
 from roemetry.stages import Calibrator, Capabilities
-from roemetry_pinhole.board_options import BoardOptions
 from roemetry_pinhole.boards import Seen, board_views, on_board, on_even_print
+from roemetry_pinhole.calibrator import BoardOptions
 from roemetry_pinhole.dot_lattice import numbered_on_boards, on_belt
 from roemetry_pinhole.dot_rays import (
     METHOD,
@@ -28,7 +28,7 @@ from roemetry_pinhole.dot_rays import (
 )
 from roemetry_pinhole.geometry import CAMERA, ON_BELT, rays
 from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
-from roemetry_pinhole.joint import marks_and_feet
+from roemetry_pinhole.joint import by_marks
 from roemetry_pinhole.known_files import read_camera
 from roemetry_pinhole.pinhole_plane import belt_pose
 
@@ -87,7 +87,7 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
                 "nothing shows where the belt is",
                 hint="lay the board on the belt and name the image in images.board_on_belt",
             )
-        marks = marks_and_feet(first, free).adjusted()
+        marks = by_marks(first, free, feet=True).adjusted()
         points = self._points(first, belts, observed.stripe_count)
         found = adjusted_rays(marks, points, observed.stripe_count * options.lines)
         self._check(found, points)

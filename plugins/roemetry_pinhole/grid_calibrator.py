@@ -26,8 +26,7 @@ from roemetry.records import CalibrationSet, Peaks
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Calibrator, Capabilities
-from roemetry_pinhole.board_options import BoardOptions
-from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
+from roemetry_pinhole.calibrator import BoardOptions, PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.grid_planes import ACROSS, METHOD, turned_parameters
 from roemetry_pinhole.pinhole_plane import displacements, rest_polynomials, view_of
 

@@ -114,14 +114,7 @@ class Numbered:
 def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | None = None) -> Numbered:
     """Number the lines of all poses.
 
-    Parameters
-    ----------
-    poses
-        Lines on boards.
-    stripes
-        How many the rig has.
-    belt
-        Lines on the empty belt, where its place is known: one more pose, in which nothing hides a stripe.
+    Lines on the empty `belt`, where its place is known, are one more pose, in which nothing hides a stripe.
 
     Raises
     ------
@@ -130,19 +123,18 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
     """
     kept = [pose for pose in poses if pose.count]
     left_out: dict[str, str] = {}
+    shows_all = belt is not None and belt.count == stripes
     while True:
         every = [*kept, *([belt] if belt is not None and belt.count else [])]
-        planes, numbers = planes_of(every, belt_shows_all=belt is not None and belt.count == stripes)
-        moved = _poses_off(kept, planes, numbers)
-        if not moved:
+        planes, numbers = planes_of(every, belt_shows_all=shows_all)
+        moved = _pose_off(kept, planes, numbers)
+        if moved is None:
             break
         usual = float(np.median([pose.weight.sum() for pose in kept]))
         few = min(_FEW, stripes - 1)  # a pose that shows all of one or two stripes hides nothing
-        left_out |= {
-            pose.name: _HIDDEN if pose.count <= few or pose.weight.sum() < _FEW_SHARE * usual else _MOVED
-            for pose in moved
-        }
-        kept = [pose for pose in kept if pose not in moved]
+        hidden = moved.count <= few or moved.weight.sum() < _FEW_SHARE * usual
+        left_out[moved.name] = _HIDDEN if hidden else _MOVED
+        kept = [pose for pose in kept if pose is not moved]
     contradicting = [name for name, why in left_out.items() if why is _MOVED]
     if len(contradicting) >= max(_CONTRADICTING_SHARE * len(poses), _CONTRADICTING_MIN):
         raise CalibrationError(
@@ -151,9 +143,7 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
             hint="is each laser image paired with the board it was taken of? did the board move between the "
             "two, or the laser or the camera between the poses?",
         )
-    number_of = _numbers_of(
-        kept, numbers, planes, stripes, belt_shows_all=belt is not None and belt.count == stripes
-    )
+    number_of = _numbers_of(kept, numbers, planes, stripes, belt_shows_all=shows_all)
     found = {
         pose.name: np.where(mine >= 0, number_of[mine], -1) if len(number_of) else mine
         for pose, mine in zip(kept, numbers, strict=False)
@@ -199,10 +189,17 @@ def planes_of(poses: list[PoseLines], *, belt_shows_all: bool) -> tuple[Floats, 
             planes = _in_order(poses, planes, spacing)
             tolerance = min(tolerance, _tolerance(poses, planes, spacing))
         numbers = [_nearest(pose, planes, tolerance) for pose in poses]
+        plane = np.arange(len(planes))
         if belt_shows_all:
-            planes = planes[np.isin(np.arange(len(planes)), numbers[-1])]
+            shown = np.isin(plane, numbers[-1])
         else:
-            planes = planes[_is_shown(numbers, len(planes))]
+            # due where stripes on both sides are seen: nothing but the board's edge ends the row of them
+            first = np.array([mine[mine >= 0].min(initial=len(planes)) for mine in numbers])
+            last = np.array([mine.max(initial=-1) for mine in numbers])
+            due = ((first[:, None] <= plane) & (last[:, None] >= plane)).sum(axis=0)
+            seen = np.array([np.isin(plane, mine) for mine in numbers]).sum(axis=0)
+            shown = (seen >= _SHOWN_SHARE_MIN * due) | (seen >= _SHOWN_MIN)
+        planes = planes[shown]
         numbers = [_nearest(pose, planes, tolerance) for pose in poses]
         if sum(int((mine >= 0).sum()) for mine in numbers) <= before:
             # what these lines have in common is no stripe: each is tried once
@@ -212,6 +209,34 @@ def planes_of(poses: list[PoseLines], *, belt_shows_all: bool) -> tuple[Floats, 
         more = _best_pairing(poses, left, tolerance, len(poses))
         planes = np.concatenate([planes, more])
     return planes, numbers
+
+
+def _pose_off(poses: list[PoseLines], planes: Floats, numbers: list[Integers]) -> PoseLines | None:
+    """Give the pose whose lines lie farthest off the planes that the others show: mirrored, or moved.
+
+    A board that is its own mirror image is told by nothing else.
+    """
+    if len(poses) < _OUTLYING_POSES_MIN or not len(planes):
+        return None
+    share = [
+        float(pose.weight[mine >= 0].sum() / max(pose.weight.sum(), 1.0))
+        for pose, mine in zip(poses, numbers, strict=False)
+    ]
+    if min(share) < _POSE_SHARE_MIN:
+        return poses[int(np.argmin(share))]
+    off = np.full(len(poses), np.nan)
+    for one, pose in enumerate(poses):
+        others = [at for at in range(len(poses)) if at != one]
+        without = _fitted([poses[at] for at in others], [numbers[at] for at in others], len(planes))
+        on = np.flatnonzero(numbers[one] >= 0)
+        own = distances(pose, without)[on, numbers[one][on]]
+        if np.isfinite(own).any():
+            off[one] = float(np.nanmedian(own)) / float(pose.ends_mm[:, :, 2].mean())
+    if not np.isfinite(off).any():
+        return None
+    worst = int(np.nanargmax(off))
+    limit = max(_OUTLYING_FACTOR * float(np.nanmedian(off)), _OUTLYING_LEAST)
+    return poses[worst] if off[worst] > limit else None
 
 
 def _best_pairing(poses: list[PoseLines], free: list[Flags], tolerance: float, bases_max: int) -> Floats:
@@ -354,19 +379,6 @@ def _in_order(poses: list[PoseLines], planes: Floats, spacing: float) -> Floats:
     return found[::-1] if turns < 0 else found
 
 
-def _is_shown(numbers: list[Integers], count: int) -> Flags:
-    """Say of each plane (plane,) whether enough of the poses show it in which its stripe must be seen.
-
-    It must be seen where stripes on both sides of it are: nothing but the board's edge ends the row of them.
-    """
-    first = np.array([mine[mine >= 0].min(initial=count) for mine in numbers])
-    last = np.array([mine.max(initial=-1) for mine in numbers])
-    plane = np.arange(count)
-    due = ((first[:, None] <= plane) & (last[:, None] >= plane)).sum(axis=0)
-    seen = np.array([np.isin(plane, mine) for mine in numbers]).sum(axis=0)
-    return np.asarray((seen >= _SHOWN_SHARE_MIN * due) | (seen >= _SHOWN_MIN))
-
-
 def _tolerance(poses: list[PoseLines], planes: Floats, spacing: float) -> float:
     """Give the tolerance that the distances seen ask for, mm."""
     off = [distances(pose, planes).min(axis=1) for pose in poses if len(planes)]
@@ -376,49 +388,18 @@ def _tolerance(poses: list[PoseLines], planes: Floats, spacing: float) -> float:
     return float(max(_NOISE_FACTOR * usual, _TOLERANCE_LEAST_SHARE * spacing))
 
 
-def _poses_off(poses: list[PoseLines], planes: Floats, numbers: list[Integers]) -> list[PoseLines]:
-    """Give poses whose lines lie off the planes that the others show: mirrored, or moved.
-
-    A board that is its own mirror image is told by nothing else.
-    """
-    if len(poses) < _OUTLYING_POSES_MIN or not len(planes):
-        return []
-    share = np.array(
-        [
-            float(pose.weight[mine >= 0].sum() / max(pose.weight.sum(), 1.0))
-            for pose, mine in zip(poses, numbers, strict=False)
-        ]
-    )
-    if share.min() < _POSE_SHARE_MIN:
-        return [poses[int(share.argmin())]]
-    off = np.full(len(poses), np.nan)
-    for one, pose in enumerate(poses):
-        others = [at for at in range(len(poses)) if at != one]
-        without = _fitted([poses[at] for at in others], [numbers[at] for at in others], len(planes))
-        on = np.flatnonzero(numbers[one] >= 0)
-        own = distances(pose, without)[on, numbers[one][on]]
-        if np.isfinite(own).any():
-            off[one] = float(np.nanmedian(own)) / float(pose.ends_mm[:, :, 2].mean())
-    if not np.isfinite(off).any():
-        return []
-    worst = int(np.nanargmax(off))
-    if off[worst] <= max(_OUTLYING_FACTOR * float(np.nanmedian(off)), _OUTLYING_LEAST):
-        return []
-    return [poses[worst]]
-
-
 def _numbers_of(
     poses: list[PoseLines], numbers: list[Integers], planes: Floats, stripes: int, *, belt_shows_all: bool
 ) -> Integers:
     """Give (plane,) the stripe of each plane, −1 for none; CalibrationError where that cannot be told."""
     count = len(planes)
-    peaks, boards = np.zeros(count), np.zeros(count, np.int64)
+    peaks = np.zeros(count)
     on: list[list[str]] = [[] for _ in range(count)]
     for pose, mine in zip(poses, numbers, strict=False):
         for plane in mine[mine >= 0]:
-            boards[plane] += 1
             on[plane].append(pose.name)
         np.add.at(peaks, mine[mine >= 0], pose.weight[mine >= 0])
+    boards = np.array([len(names) for names in on], np.int64)
     for mine in numbers[len(poses) :]:
         # the belt is a board whose place is known: with one more line it determines a plane
         boards[mine[mine >= 0]] += 1
@@ -441,51 +422,31 @@ def _numbers_of(
     usable = (number >= 0) & (boards >= 2)
     if usable.sum() == stripes:
         return np.where(usable, number, -1)
-    raise _too_few(poses, numbers, planes, number, on, stripes, belt_shows_all=belt_shows_all)
-
-
-def _too_few(
-    poses: list[PoseLines],
-    numbers: list[Integers],
-    planes: Floats,
-    number: Integers,
-    on: list[list[str]],
-    stripes: int,
-    *,
-    belt_shows_all: bool,
-) -> CalibrationError:
-    """Say which stripe is seen on too few boards, as far as that is known."""
-    hint = (
-        "add poses in which the board lies under it; is `stripes` right? is each laser image paired with the "
-        "board it was taken of, by one camera?"
-    )
-    once = [(int(number[plane]) + 1, names) for plane, names in enumerate(on) if len(names) == 1]
-    if once and once[0][0] > 0:
-        stripe, names = once[0]
-        return CalibrationError(
-            f"stripe {stripe} lies on one board alone ({names[0]}): that determines no plane", hint=hint
-        )
-    lone: list[tuple[int, str]] = []
-    for pose, mine in zip(poses, numbers, strict=False):
-        for line in np.flatnonzero(mine < 0):
-            left = mine[:line]
-            left = left[left >= 0]
-            lone.append((int(left[-1]) + 2 if left.size else 1, pose.name))
-    if len(lone) == 1 and len(planes) == stripes - 1:
-        stripe, name = lone[0]
-        return CalibrationError(
-            f"stripe {stripe} lies on one board alone ({name}): that determines no plane", hint=hint
-        )
+    # which stripe is on too few boards, as far as that is known
+    alone = [(int(number[plane]) + 1, names[0]) for plane, names in enumerate(on) if len(names) == 1]
+    if not (alone and alone[0][0] > 0):
+        alone = []
+        for pose, mine in zip(poses, numbers, strict=False):
+            for line in np.flatnonzero(mine < 0):
+                alone.append((int(mine[:line].max(initial=-1)) + 2, pose.name))
+        if len(alone) != 1 or count != stripes - 1:
+            alone = []
     missing = sorted(set(range(stripes)) - set(number.tolist()))
-    if belt_shows_all and missing:
+    if alone:
+        why = f"stripe {alone[0][0]} lies on one board alone ({alone[0][1]}): that determines no plane"
+    elif belt_shows_all and missing:
         those = ", ".join(str(one + 1) for one in missing)
-        return CalibrationError(
-            f"stripe {those} is seen on the empty belt and on fewer than two boards", hint=hint
+        why = f"stripe {those} is seen on the empty belt and on fewer than two boards"
+    else:
+        most = max((pose.count for pose in poses), default=0)
+        why = (
+            f"no numbering of {stripes} stripes fits: {count} planes of light are found on two boards or "
+            f"more; the board with most lines shows {most}"
         )
-    return CalibrationError(
-        f"no numbering of {stripes} stripes fits: {len(planes)} planes of light are found on two boards or "
-        f"more; the board with most lines shows {max((pose.count for pose in poses), default=0)}",
-        hint=hint,
+    raise CalibrationError(
+        why,
+        hint="add poses in which the board lies under it; is `stripes` right? is each laser image paired "
+        "with the board it was taken of, by one camera?",
     )
 
 

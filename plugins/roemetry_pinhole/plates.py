@@ -25,7 +25,7 @@ from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, CalibrationSet, Observation, Peaks, SpherePlate
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
-from roemetry_pinhole.bundle import Adjusted, Measured
+from roemetry_pinhole.bundle import Measured
 from roemetry_pinhole.from_solids import OnSolids, resting
 from roemetry_pinhole.geometry import ON_BELT, Geometry, StripePoints, turned
 from roemetry_pinhole.pinhole_plane import belt_pose, by_parameter, parameters_of, points_of
@@ -86,6 +86,11 @@ class Plate:
         """Number of balls that are seen."""
         return int(np.unique(self.ball).size)
 
+    @property
+    def turn(self) -> Floats:
+        """(3, 3) to the belt frame from the plate's."""
+        return np.asarray(turned(np.array([[0.0, 0.0, self.pose[2]]]))[0])
+
     def answer(self, change: Floats) -> float:
         """Give the change of ln(size) if the points' residuals (point,) change."""
         normal = self.slopes.T @ self.slopes
@@ -107,41 +112,11 @@ class Plate:
 
 
 def find_plate(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePlate) -> Plate | None:
-    """Find a sphere plate and fit its place and size; None where it is not seen.
+    """Find a sphere plate, its columns within 45° across the stripes, and fit its place and size.
 
-    Every peak is taken for every stripe; those of the right stripe lie on balls.
-
-    Parameters
-    ----------
-    parameters
-        Of a calibration.
-    peaks
-        Of one image.
-    plate
-        What lies there; its columns run across the stripes, within 45°.
+    `parameters` are a calibration's. None where the plate is not seen. Every peak is taken for every stripe;
+    those of the right stripe lie on balls.
     """
-    near = _on_heights(parameters, peaks, plate)
-    if near.stripe.size < _POINTS_MIN:
-        return None
-    across = _across(parameters, near.stripe, near.x_px, near.row_px)
-    start = _first(near.at_mm, plate)
-    found = _fitted(near.at_mm, across, near.stripe, near.x_px, near.row_px, plate, start)
-    # a peak is one, however many stripes it might belong to
-    explained = 0.0 if found is None else found.ball.size / np.unique(near.peak).size
-    return found if explained > _EXPLAINED_MIN else None
-
-
-class _Near(NamedTuple):
-    """Peaks taken for stripes by which they lie at the balls' heights: (point,) and (point, 3)."""
-
-    peak: Integers
-    stripe: Integers
-    x_px: Floats
-    row_px: Floats
-    at_mm: Floats
-
-
-def _on_heights(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePlate) -> _Near:
     good = np.flatnonzero((peaks.flags & (EDGE | WIDE)) == 0)
     stripes = len(parameters["planes_per_mm"])
     stripe, peak = (index.ravel() for index in np.indices((stripes, good.size)))
@@ -151,7 +126,26 @@ def _on_heights(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePla
     radius = 0.5 * plate.diameter_mm
     high = np.abs(at[:, 2] - plate.centre_height_mm - 0.6 * radius) < 0.7 * radius
     use = np.flatnonzero(high & ~on_belt[peak])
-    return _Near(peak[use], stripe[use], x_px[use], row_px[use], at[use])
+    if use.size < _POINTS_MIN:
+        return None
+    stripe, x_px, row_px = stripe[use], x_px[use], row_px[use]
+    up, down = (points_of(parameters, stripe, x_px + way, row_px) for way in (0.25, -0.25))
+    near = _Near(stripe, x_px, row_px, at[use], (up - down) / 0.5)
+    found = _fitted(near, plate, _first(near.at_mm, plate))
+    # a peak is one, however many stripes it might belong to
+    explained = 0.0 if found is None else found.ball.size / np.unique(peak[use]).size
+    return found if explained > _EXPLAINED_MIN else None
+
+
+class _Near(NamedTuple):
+    """Peaks taken for stripes by which they lie at the balls' heights: (point,) and (point, 3)."""
+
+    stripe: Integers
+    x_px: Floats
+    row_px: Floats
+    at_mm: Floats
+    across: Floats
+    """Way of each point for a pixel along the row, mm."""
 
 
 def off_balls(at_mm: Floats, ball: Integers, plate: SpherePlate, pose: Floats) -> tuple[Floats, Floats]:
@@ -169,13 +163,6 @@ def centres(plate: SpherePlate, pose: Floats) -> Floats:
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     xy = pose[3] * grid @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
     return np.column_stack([xy, np.full(len(xy), pose[3] * plate.centre_height_mm)])
-
-
-def _across(parameters: Mapping[str, Floats], stripe: Integers, x_px: Floats, row_px: Floats) -> Floats:
-    """(point, 3) way of each point for a pixel along the row, mm."""
-    step = 0.25
-    up, down = (points_of(parameters, stripe, x_px + s * step, row_px) for s in (1.0, -1.0))
-    return np.asarray((up - down) / (2.0 * step))
 
 
 def _first(at: Floats, plate: SpherePlate) -> Floats:
@@ -225,79 +212,57 @@ def _peaks_of(votes: Floats, apart: int) -> Floats:
     return np.array(found, np.float64)
 
 
-def _fitted(
-    at: Floats,
-    across: Floats,
-    stripe: Integers,
-    x_px: Floats,
-    row_px: Floats,
-    plate: SpherePlate,
-    pose: Floats,
-) -> Plate | None:
+def _fitted(near: _Near, plate: SpherePlate, pose: Floats) -> Plate | None:
     """Gauss and Newton, the points on balls chosen anew in each round."""
     radius = 0.5 * plate.diameter_mm
     found = None
     for share in _ROUNDS:
         centre = centres(plate, pose)
-        ball = ((at[:, None, :2] - centre[None, :, :2]) ** 2).sum(axis=2).argmin(axis=1)
-        off, out = off_balls(at, ball, plate, pose)
+        ball = ((near.at_mm[:, None, :2] - centre[None, :, :2]) ** 2).sum(axis=2).argmin(axis=1)
+        off, out = off_balls(near.at_mm, ball, plate, pose)
         on = (np.abs(off) < share * radius) & (out[:, 2] > _CAP_RISE_MIN)
         on &= np.bincount(ball[on], minlength=len(centre))[ball] >= _BALL_POINTS_MIN
         use = np.flatnonzero(on)
         for _ in range(_STEPS):
             if use.size < _POINTS_MIN:
                 return None
-            found = _measured(at, across, stripe, x_px, row_px, ball, use, plate, pose)
+            found = _measured(_Near(*(column[use] for column in near)), ball[use], plate, pose)
             pose = pose + np.linalg.lstsq(found.slopes, -found.residual, rcond=None)[0]
             limit = _STRAY_MADS * _MAD_TO_STD * float(np.median(np.abs(found.residual))) + 1e-6
             use = use[np.abs(found.residual) < limit]
     return found
 
 
-def _measured(
-    at: Floats,
-    across: Floats,
-    stripe: Integers,
-    x_px: Floats,
-    row_px: Floats,
-    ball: Integers,
-    use: Integers,
-    plate: SpherePlate,
-    pose: Floats,
-) -> Plate:
-    off, out = off_balls(at[use], ball[use], plate, pose)
-    per_px = np.abs((out * across[use]).sum(axis=1))
+def _measured(near: _Near, ball: Integers, plate: SpherePlate, pose: Floats) -> Plate:
+    off, out = off_balls(near.at_mm, ball, plate, pose)
+    per_px = np.abs((out * near.across).sum(axis=1))
     # a point that a pixel moves along the surface says nothing that could be weighed
     per_px = np.maximum(per_px, _ALONG_SHARE * float(np.median(per_px)))
+    # derivatives of the distances from the balls by the pose
+    own = centres(plate, pose)[ball] - [*pose[:2], 0.0]
+    around = np.column_stack([-own[:, 1], own[:, 0], np.zeros(len(own))])
+    by_size = -(out * own).sum(axis=1) / pose[3] - 0.5 * plate.diameter_mm
+    slopes = np.column_stack([-out[:, 0], -out[:, 1], -(out * around).sum(axis=1), by_size])
     return Plate(
         pose,
-        stripe[use],
-        x_px[use],
-        row_px[use],
-        ball[use],
-        at[use],
+        near.stripe,
+        near.x_px,
+        near.row_px,
+        ball,
+        near.at_mm,
         per_px,
-        _slopes(out, ball[use], plate, pose) / per_px[:, None],
+        slopes / per_px[:, None],
         off / per_px,
         float(np.sqrt((off**2).mean())),
     )
 
 
-def _slopes(out: Floats, ball: Integers, plate: SpherePlate, pose: Floats) -> Floats:
-    """(point, 4) derivatives of the distances from the balls by the pose."""
-    own = centres(plate, pose)[ball] - [*pose[:2], 0.0]
-    turned = np.column_stack([-own[:, 1], own[:, 0], np.zeros(len(own))])
-    by_size = -(out * own).sum(axis=1) / pose[3] - 0.5 * plate.diameter_mm
-    return np.column_stack([-out[:, 0], -out[:, 1], -(out * turned).sum(axis=1), by_size])
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class PlateScale:
+class PlateScale(NamedTuple):
     """A sphere plate's lengths over those described."""
 
     ratio: float
     own_std: float
-    """ratio, own_std: see `Reference` in `second_targets`."""
+    """ratio, own_std: see `Reference` in `scale`."""
     by_parameter: Floats
     """(n,) derivative of ln ratio by the calibration's parameters."""
     said: str
@@ -329,22 +294,24 @@ def plate_scale(calibration: Calibration, images: list[Peaks], plate: SpherePlat
     balls, points = sum(one.balls for one in found), sum(one.ball.size for one in found)
     rms_mm = float(np.sqrt(sum(one.rms_mm**2 * one.ball.size for one in found) / points))
     return PlateScale(
-        ratio=float(np.exp(share @ np.log([one.pose[3] for one in found]))),
-        own_std=float(np.sqrt(own**2 + of_lengths @ of_lengths)),
-        by_parameter=np.asarray(share @ ways),
-        said=f"sphere plate: {points} points on {balls} balls lie {rms_mm:.3f} mm (rms) off them",
+        float(np.exp(share @ np.log([one.pose[3] for one in found]))),
+        float(np.sqrt(own**2 + of_lengths @ of_lengths)),
+        np.asarray(share @ ways),
+        f"sphere plate: {points} points on {balls} balls lie {rms_mm:.3f} mm (rms) off them",
     )
 
 
 def _by_length(found: Plate, plate: SpherePlate) -> Floats:
     """(3,) derivatives of ln ratio by the described pitch, diameter and centres' height, 1/mm."""
     before = off_balls(found.at_mm, found.ball, plate, found.pose)[0]
-    slopes = []
-    for name in ("pitch_mm", "diameter_mm", "centre_height_mm"):
-        longer = replace(plate, **{name: getattr(plate, name) + _STEP_MM})
-        after = off_balls(found.at_mm, found.ball, longer, found.pose)[0]
-        slopes.append(found.answer((after - before) / found.per_px) / _STEP_MM)
-    return np.array(slopes)
+    after = [off_balls(found.at_mm, found.ball, longer, found.pose)[0] for longer in _longer(plate, _STEP_MM)]
+    return np.array([found.answer((one - before) / found.per_px) / _STEP_MM for one in after])
+
+
+def _longer(plate: SpherePlate, more_mm: float) -> list[SpherePlate]:
+    """Give plates whose pitch, diameter or centres' height is longer."""
+    names = ("pitch_mm", "diameter_mm", "centre_height_mm")
+    return [replace(plate, **{name: getattr(plate, name) + more_mm}) for name in names]
 
 
 _STEP_MM = 1e-3
@@ -371,16 +338,9 @@ _BELT_POINTS_MAX = 3000
 def from_plate(
     observed: CalibrationSet, plate: SpherePlate, boards: Measured, free_camera: Flags, belt: Floats | None
 ) -> OnSolids:
-    """Find the planes of light.
+    """Find the planes of light from images of the sphere plate and of the empty belt; the belt must be known.
 
-    Parameters
-    ----------
-    observed
-        Images of the sphere plate and of the empty belt.
-    plate
-        As described.
-    boards, free_camera, belt
-        As of `from_solids`; the belt must be known.
+    The other parameters are as of `from_solids`.
 
     Raises
     ------
@@ -403,19 +363,41 @@ def from_plate(
     )
     on_belt = on_belt[:: max(1, -(-len(on_belt) // _BELT_POINTS_MAX))]
     first = len(boards.start.shift)
+    under = 0.5 * plate.pitch_mm * max(plate.columns, plate.rows) * _UNDER
     for number in range(_PLATE_ROUNDS):
         plates = [_seen(geometry, view, plate) for view in views]
-        _check_stripes(plates, stripes)
-        measured = _measured_plate(boards, free_camera, geometry, on_belt, plates, plate, first)
+        many = np.bincount(np.concatenate([one.stripe for one in plates]), minlength=stripes)
+        missing = np.flatnonzero(many < _STRIPE_POINTS_MIN)
+        if missing.size:
+            raise CalibrationError(
+                f"stripe {', '.join(str(stripe + 1) for stripe in missing)} lies on no ball: that determines "
+                "no plane",
+                hint="add images of the sphere plate with the plate moved across the stripes",
+            )
+        pose = belt_pose(geometry.belt)
+        turns = [pose[:3, :3].T @ one.turn for one in plates]
+        places = [pose[:3, :3].T @ ([*one.pose[:2], 0.0] - pose[:3, 3]) for one in plates]
+        start = replace(
+            geometry,
+            rotation=np.concatenate([geometry.rotation[:first], turns]),
+            shift=np.concatenate([geometry.shift[:first], places]),
+        )
+        points = _points(on_belt, plates, plate, first)
+        measured = resting(boards, free_camera, start, points, [under] * len(plates), first)
         geometry = measured.robust_prefit() if number + 1 < _PLATE_ROUNDS else geometry
     adjusted = measured.adjusted()
-    return OnSolids(
-        measured,
-        adjusted,
-        (_shape(plate),),
-        tuple(_if_longer(measured, adjusted, plates, plate)),
-        0.0,
-    )
+    # adjusted again for each length, longer by its standard uncertainty; the touching planes stay parallel
+    by_tolerance = []
+    for longer in _longer(plate, plate.tolerance_mm / np.sqrt(3.0)):
+        points = _points(on_belt, plates, plate, first, longer)
+        by_tolerance.append(replace(measured, points=points).step_of(adjusted)[0])
+    top, along = plate.centre_height_mm + 0.5 * plate.diameter_mm, plate.rows * plate.pitch_mm
+    shape = Shape("sphere-plate", plate.name, (), 0, top, along, top, False, (0.0,))
+    return OnSolids(measured, adjusted, (shape,), tuple(by_tolerance), 0.0)
+
+
+_UNDER = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
+"""Three points under a plate that touch the belt, in halves of its longer side."""
 
 
 def _start(boards: Geometry, lines: Floats, views: tuple[Observation, ...], plate: SpherePlate) -> Geometry:
@@ -441,13 +423,7 @@ def _start(boards: Geometry, lines: Floats, views: tuple[Observation, ...], plat
         points = sum(one.ball.size for one in found if one is not None)
         off_mm = max((one.rms_mm for one in found if one is not None), default=np.inf)
         fits.append((off_mm / max(points, 1), number, geometry))
-    best = min(fits)
-    if not np.isfinite(best[0]):
-        raise CalibrationError(
-            f"{views[0].frame.name}: the sphere plate is not seen",
-            hint="lay it under the stripes, its columns across them; are its lengths right?",
-        )
-    return best[2]
+    return min(fits)[2]
 
 
 def _thinned(peaks: Peaks) -> Peaks:
@@ -468,98 +444,24 @@ def _seen(geometry: Geometry, view: Observation, plate: SpherePlate) -> Plate:
     return found
 
 
-def _check_stripes(plates: list[Plate], stripes: int) -> None:
-    many = np.bincount(np.concatenate([one.stripe for one in plates]), minlength=stripes)
-    missing = np.flatnonzero(many < _STRIPE_POINTS_MIN)
-    if missing.size:
-        names = ", ".join(str(stripe + 1) for stripe in missing)
-        raise CalibrationError(
-            f"stripe {names} lies on no ball: that determines no plane",
-            hint="add images of the sphere plate with the plate moved across the stripes",
-        )
+def _points(
+    on_belt: Floats, plates: list[Plate], plate: SpherePlate, first: int, longer: SpherePlate | None = None
+) -> StripePoints:
+    """Peaks on the belt and on balls; a ball's surface at a peak is the plane that touches it there.
 
-
-def _measured_plate(
-    boards: Measured,
-    free_camera: Flags,
-    geometry: Geometry,
-    on_belt: Floats,
-    plates: list[Plate],
-    plate: SpherePlate,
-    first: int,
-) -> Measured:
-    pose = belt_pose(geometry.belt)
-    turns = np.stack([pose[:3, :3].T @ _yaw(one) for one in plates])
-    places = np.stack([pose[:3, :3].T @ ([*one.pose[:2], 0.0] - pose[:3, 3]) for one in plates])
-    start = replace(
-        geometry,
-        rotation=np.concatenate([geometry.rotation[:first], turns]),
-        shift=np.concatenate([geometry.shift[:first], places]),
-    )
-    side = 0.5 * plate.pitch_mm * max(plate.columns, plate.rows)
-    under = side * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
-    return resting(
-        boards, free_camera, start, _points(on_belt, plates, plate, first), [under] * len(plates), first
-    )
-
-
-def _points(on_belt: Floats, plates: list[Plate], plate: SpherePlate, first: int) -> StripePoints:
-    """Peaks on the belt and on balls; a ball's surface at a peak is the plane that touches it there."""
+    Its distance from the plate's origin is that of a plate with other lengths, if one is given.
+    """
     tables = [np.column_stack([np.full(len(on_belt), ON_BELT), on_belt])]
     faces = [np.tile([0.0, 0.0, 1.0, 0.0], (len(on_belt), 1))]
+    lengths = longer or plate
     for number, one in enumerate(plates):
         same = np.ones(one.ball.size)
         std = np.median(on_belt[:, 3]) * same
         tables.append(np.column_stack([(first + number) * same, one.stripe, one.x_px, one.row_px, std]))
-        faces.append(np.column_stack([_out(one, plate), _distances(one, plate, plate)]))
+        way = one.at_mm - centres(plate, one.pose)[one.ball]
+        out = (way / np.sqrt((way**2).sum(axis=1))[:, None]) @ one.turn
+        own = centres(lengths, np.array([0.0, 0.0, 0.0, 1.0]))[one.ball]
+        faces.append(np.column_stack([out, (out * own).sum(axis=1) + 0.5 * lengths.diameter_mm]))
     pose, stripe, x_px, row_px, std_px = np.ascontiguousarray(np.concatenate(tables).T)
-    return StripePoints(
-        pose.astype(np.int64),
-        stripe.astype(np.int64),
-        x_px,
-        row_px,
-        std_px,
-        np.zeros(pose.size),
-        np.concatenate(faces),
-    )
-
-
-def _if_longer(
-    measured: Measured, adjusted: Adjusted, plates: list[Plate], plate: SpherePlate
-) -> list[Geometry]:
-    """Adjust again for each length, longer by its standard uncertainty; the touching planes stay parallel."""
-    found = []
-    for name in ("pitch_mm", "diameter_mm", "centre_height_mm"):
-        longer = replace(plate, **{name: getattr(plate, name) + plate.tolerance_mm / np.sqrt(3.0)})
-        if measured.points.face is None:
-            raise AssertionError("peaks lie on faces")
-        face = measured.points.face.copy()
-        face[-sum(one.ball.size for one in plates) :, 3] = np.concatenate(
-            [_distances(one, plate, longer) for one in plates]
-        )
-        found.append(replace(measured, points=replace(measured.points, face=face)).stepped(adjusted))
-    return found
-
-
-def _out(one: Plate, plate: SpherePlate) -> Floats:
-    """(point, 3) directions away from the balls' centres, in the plate's frame."""
-    way = one.at_mm - centres(plate, one.pose)[one.ball]
-    return np.asarray((way / np.sqrt((way**2).sum(axis=1))[:, None]) @ _yaw(one))
-
-
-def _distances(one: Plate, plate: SpherePlate, longer: SpherePlate) -> Floats:
-    """(point,) distance of each touching plane from the plate's origin, of a plate with other lengths, mm."""
-    own = centres(longer, np.array([0.0, 0.0, 0.0, 1.0]))[one.ball]
-    return np.asarray((_out(one, plate) * own).sum(axis=1) + 0.5 * longer.diameter_mm)
-
-
-def _yaw(one: Plate) -> Floats:
-    """(3, 3) to the belt frame from the plate's."""
-    return np.asarray(turned(np.array([[0.0, 0.0, one.pose[2]]]))[0])
-
-
-def _shape(plate: SpherePlate) -> Shape:
-    """For its name and height."""
-    top = plate.centre_height_mm + 0.5 * plate.diameter_mm
-    along = plate.rows * plate.pitch_mm
-    return Shape("sphere-plate", plate.name, (), 0, top, along, top, False, (0.0,))
+    whole = pose.astype(np.int64), stripe.astype(np.int64)
+    return StripePoints(*whole, x_px, row_px, std_px, np.zeros(pose.size), np.concatenate(faces))

@@ -21,7 +21,6 @@ from roemetry.records import Board
 from roemetry.records.arrays import Floats, Integers
 from roemetry_pinhole.boards import BoardView
 from roemetry_pinhole.bundle import Adjusted, Measured
-from roemetry_pinhole.geometry import unknowns_of
 from roemetry_pinhole.numbering import PoseLines, distances, planes_of, spacing_mm
 
 _SIZE_MAX = 0.3
@@ -124,14 +123,7 @@ def stretched(measured: Measured, found: Adjusted, views: Sequence[BoardView]) -
     free[list(boards), 1] = True
     geometry = replace(found.geometry, prints=np.zeros((count, 2)))
     geometry.prints[: len(found.geometry.prints)] = found.geometry.prints
-    unknowns = unknowns_of(
-        geometry,
-        free_camera=found.unknowns.camera >= 0,
-        planes=bool((found.unknowns.planes >= 0).any()),
-        belt=bool((found.unknowns.belt >= 0).any()),
-        travel=bool((found.unknowns.travel >= 0).any()),
-        prints=free,
-    )
+    unknowns = found.unknowns.of(geometry, free)
     moved, covariance = replace(measured, unknowns=unknowns).step_of(replace(found, geometry=geometry))
     before, after = (abs(float(np.log(one.camera[1] / one.camera[0]))) for one in (geometry, moved))
     said = []
