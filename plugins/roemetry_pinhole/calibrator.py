@@ -34,10 +34,8 @@ from roemetry_pinhole.known_files import read_planes
 from roemetry_pinhole.pinhole_plane import (
     METHOD,
     covariance_of,
-    displacements,
+    derived,
     parameters_of,
-    rest_polynomials,
-    view_of,
 )
 from roemetry_pinhole.scale import (
     check_beside_solids,
@@ -191,20 +189,17 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             method=METHOD,
             image_size=size,
             turn_deg=observed.observations[0].frame.turn_deg,
-            rest_px=rest_polynomials(parameters, size),
-            displacement_px_per_mm=displacements(parameters, size),
             height_range_mm=(
                 0.0 if on_belt else min(0.0, verdict.height_min_mm),
                 self.options.height_max_mm or verdict.height_max_mm,
             ),
-            parameters=parameters,
             covariance=covariance,
             residuals=verdict.residuals,
             target=_described(joined),
             extractor=dict(observed.extractor),
             notes=(*notes, *joined.seen.notes, *(f"not used: {name}: {why}" for name, why in left_out)),
-            view=view_of(parameters, size),
             reference=ON_BELT if on_belt else ON_BOARD,
+            **derived(parameters, size),
         )
 
     _last: tuple[CalibrationSet, Seen, Joint | CalibrationError] | None = None

@@ -14,7 +14,7 @@ from roemetry.records.calibration import Calibration
 from roemetry_pinhole.geometry import (
     turned,
 )
-from roemetry_pinhole.pinhole_plane import METHOD, displacements, rest_polynomials, view_of
+from roemetry_pinhole.pinhole_plane import METHOD, derived
 
 if TYPE_CHECKING:
     from roemetry.testing import LinearRig
@@ -118,13 +118,10 @@ def _calibration(rig: LinearRig, away_mm: float, planes: Floats) -> Calibration:
         method=METHOD,
         image_size=size,
         turn_deg=0,
-        rest_px=rest_polynomials(parameters, size),
-        displacement_px_per_mm=displacements(parameters, size),
         height_range_mm=(0.0, 60.0 / abs(rig.px_per_mm)),
-        parameters=parameters,
         covariance=np.zeros((count, count)),
         extractor={"use": "exact"},
-        view=view_of(parameters, size),
+        **derived(parameters, size),
     )
 
 

@@ -27,8 +27,7 @@ from roemetry_pinhole.dot_rays import (
     view_of,
 )
 from roemetry_pinhole.geometry import CAMERA, ON_BELT, rays
-from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
-from roemetry_pinhole.joint import by_marks
+from roemetry_pinhole.initial_intrinsics import FirstCamera, by_marks, first_camera, free_numbers
 from roemetry_pinhole.known_files import read_camera
 from roemetry_pinhole.pinhole_plane import belt_pose
 

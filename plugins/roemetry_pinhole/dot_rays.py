@@ -16,6 +16,7 @@ covariances of dot and ray (`roemetry.records.light`).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +31,7 @@ from roemetry.stages import Capabilities, StageOptions, Triangulator
 from roemetry_pinhole.bundle import Adjusted
 from roemetry_pinhole.geometry import ON_BELT, Geometry, Unknowns, distort
 from roemetry_pinhole.geometry import rays as sight
-from roemetry_pinhole.pinhole_plane import belt_pose
+from roemetry_pinhole.pinhole_plane import belt_pose, camera_matrix, camera_of, check_size, flat
 
 METHOD = "pinhole-dots"
 _ROUNDS = 3
@@ -133,12 +134,11 @@ def rays_of(found: FoundRays, unknowns: Unknowns, stripes: int) -> tuple[Rays, d
     gain = found.covariance[:, free] @ np.linalg.pinv(known, hermitian=True)
     rest = found.covariance - gain @ found.covariance[free]
     size, turned = np.linalg.eigh(0.5 * (rest + rest.T))
-    root = turned * np.sqrt(np.maximum(size, 0.0))
-    weights = np.array([1.0, 1.0, _UP_MM, _UP_MM])
-    moves = found.by_unknown @ root
+    moves = found.by_unknown @ (turned * np.sqrt(np.maximum(size, 0.0)))
     seen = np.isfinite(moves[:, 0, 0])
-    flat = (moves[seen] * weights[:, None]).reshape(-1, root.shape[1])
-    shared = np.linalg.svd(flat, full_matrices=False)[2][:_SHARED].T
+    weights = np.array([1.0, 1.0, _UP_MM, _UP_MM])
+    alike = (moves[seen] * weights[:, None]).reshape(-1, moves.shape[2])
+    shared = np.linalg.svd(alike, full_matrices=False)[2][:_SHARED].T
     by_shared = moves @ shared
     left = moves - by_shared @ shared.T
     own = found.own + left @ left.transpose(0, 2, 1)
@@ -150,35 +150,33 @@ def rays_of(found: FoundRays, unknowns: Unknowns, stripes: int) -> tuple[Rays, d
     covariance = np.eye(at.size + _SHARED)
     covariance[: at.size, : at.size] = 0.0
     covariance[np.ix_(np.flatnonzero(at >= 0), np.flatnonzero(at >= 0))] = known
-    geometry = found.geometry
+    camera = found.geometry.camera
     parameters = {
-        "focal_px": geometry.camera[:2],
-        "principal_px": geometry.camera[2:4],
-        "distortion": geometry.camera[4:],
-        "belt_per_mm": geometry.belt,
+        "focal_px": camera[:2],
+        "principal_px": camera[2:4],
+        "distortion": camera[4:],
+        "belt_per_mm": found.geometry.belt,
         "shared_by_rays": np.zeros(_SHARED),
     }
     shape = (stripes, len(found.lines) // stripes)
-    rays = Rays(
-        found.lines.reshape(*shape, 4),
-        own.reshape(*shape, 4, 4),
-        by_parameter.reshape(*shape, 4, -1),
-        np.concatenate(list(parameters.values())),
+    return (
+        Rays(
+            found.lines.reshape(*shape, 4),
+            own.reshape(*shape, 4, 4),
+            by_parameter.reshape(*shape, 4, -1),
+            flat(parameters),
+        ),
+        parameters,
+        covariance,
     )
-    return rays, parameters, covariance
 
 
-def view_of(parameters: dict[str, Floats], lines: Floats, image_size: tuple[int, int]) -> View:
+def view_of(parameters: Mapping[str, Floats], lines: Floats, image_size: tuple[int, int]) -> View:
     """Give the camera, and a plane through the rays of each column, belt frame."""
-    focal, middle = parameters["focal_px"], parameters["principal_px"]
-    return View(
-        image_size=image_size,
-        camera_matrix=np.array([[focal[0], 0.0, middle[0]], [0.0, focal[1], middle[1]], [0.0, 0.0, 1.0]]),
-        T_belt_camera=belt_pose(parameters["belt_per_mm"]),
-        planes=np.array([_plane(column) for column in lines]),
-        distortion=parameters["distortion"],
-        projector_mm=_common_point(lines.reshape(-1, 4)),
-    )
+    camera, pose = camera_of(parameters), belt_pose(parameters["belt_per_mm"])
+    planes = np.array([_plane(column) for column in lines])
+    light_mm = _common_point(lines.reshape(-1, 4))
+    return View(image_size, camera_matrix(camera), pose, planes, camera[4:], light_mm)
 
 
 def _plane(lines: Floats) -> Floats:
@@ -217,17 +215,9 @@ class PinholeDots(Triangulator[StageOptions]):
         if rays is None or dots is None:
             what = "the calibration has no rays" if rays is None else "the stripes are lines, not dots"
             raise StageError(f"{what}: pinhole-dots triangulates dots", hint="calibrate with pinhole-dots")
-        if stripes.stripe_count != calibration.stripe_count:
-            raise StageError(
-                f"{stripes.stripe_count} columns of dots are labelled, the calibration has "
-                f"{calibration.stripe_count}"
-            )
-        if stripes.rows != calibration.image_size[0]:
-            raise StageError(
-                f"the stripes have {stripes.rows} rows, the calibration's images {calibration.image_size[0]}"
-            )
+        check_size(stripes, calibration)
         lines = rays.moved(calibration.parameters)
-        view = view_of(dict(calibration.parameters), lines, calibration.image_size)
+        view = view_of(calibration.parameters, lines, calibration.image_size)
         stripe, row = np.nonzero(np.isfinite(stripes.x_px) & (dots.line >= 0))
         at = dots.line[stripe, row]
         xy_px = np.column_stack([stripes.x_px[stripe, row], dots.y_px[stripe, row]])
@@ -257,7 +247,7 @@ class PinholeDots(Triangulator[StageOptions]):
         if calibration.rays is None:
             return calibration.view
         lines = calibration.rays.moved(calibration.parameters)
-        return view_of(dict(calibration.parameters), lines, calibration.image_size)
+        return view_of(calibration.parameters, lines, calibration.image_size)
 
 
 def surface_of(geometry: Geometry, pose: Integers) -> Floats:

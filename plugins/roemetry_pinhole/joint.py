@@ -10,26 +10,32 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from roemetry.errors import CalibrationError
 from roemetry.records import Board, CalibrationSet, CameraFit
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry_pinhole.boards import BoardView, Seen, board_views
+from roemetry_pinhole.boards import Seen, board_views
 from roemetry_pinhole.bundle import Adjusted, Measured, with_disagreement
 from roemetry_pinhole.from_solids import OnSolids, from_solids, solids_in
 from roemetry_pinhole.geometry import (
     CAMERA,
     Bend,
-    Corners,
-    Feet,
     Geometry,
     rays,
     unknowns_of,
 )
-from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers, reasons
+from roemetry_pinhole.initial_intrinsics import (
+    FirstCamera,
+    belt_under,
+    by_marks,
+    corners_of,
+    feet_of,
+    first_camera,
+    free_numbers,
+    reasons,
+)
 from roemetry_pinhole.known_files import read_camera
 from roemetry_pinhole.plates import from_plate
 from roemetry_pinhole.prints import stretched
@@ -273,24 +279,6 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
     )
 
 
-def by_marks(first: FirstCamera, free: Flags, *, feet: bool = False, bent: Board | None = None) -> Measured:
-    """Give what boards tell of the camera and their poses without any light on them.
-
-    With `feet` those that lie on the belt tell of it, too; `bent`: the shape of this board is looked for.
-    """
-    number, still = np.arange(len(first.views)), np.zeros(len(first.views))
-    lies = [n for n, view in enumerate(first.views) if feet and view.on_belt]
-    belt = _under(first, lies[0]) if lies else np.full(3, np.nan)
-    bend = None if bent is None or not first.views else Bend.none(*bent.size_mm.tolist())
-    start = Geometry(first.camera, first.rotation, first.shift, belt=belt, bend=bend)
-    unknowns = unknowns_of(start, free_camera=free, belt=bool(lies))
-    found = Measured(start, unknowns, _corners(first, number, still))
-    if not lies:
-        return found
-    stand, std_mm = _feet(first.views, number, still)
-    return replace(found, feet=stand, foot_std_mm=std_mm)
-
-
 def _poses_tried(observed: CalibrationSet) -> int:
     return len({(one.shows, one.board, one.pose) for one in observed.observations if one.shows in _BOARDS})
 
@@ -391,33 +379,15 @@ def _measured(
         start, free_camera=free, planes=True, belt=True, travel=moves, bend=bent, prints=looked_for
     )
     points = replace(gathered.points, pose=np.where(on < 0, on, number[on]))
-    feet, foot_std_mm = _feet(first.views, number, counts)
-    return Measured(start, unknowns, _corners(first, number, counts), points, feet, foot_std_mm)
-
-
-def _corners(first: FirstCamera, pose: Integers, counts: Floats) -> Corners:
-    marks = [view.marks for view in first.views]
-    size = [len(one.xy_px) for one in marks]
-    return Corners(
-        np.repeat(pose, size).astype(np.int64),
-        np.concatenate([np.empty((0, 3)), *(one.board_mm for one in marks)]),
-        np.concatenate([np.empty((0, 2)), *(one.xy_px for one in marks)]),
-        np.repeat(counts, size),
-        np.repeat([view.number for view in first.views], size).astype(np.int64),
-    )
-
-
-def _under(first: FirstCamera, number: Any) -> Floats:
-    """Give (3,) b·X = 1 of what the board of a view lies on."""
-    normal = first.rotation[number][:, 2]
-    return np.asarray(normal / (normal @ first.shift[number] + first.views[number].board.thickness_mm))
+    feet, foot_std_mm = feet_of(first.views, number, counts)
+    return Measured(start, unknowns, corners_of(first, number, counts), points, feet, foot_std_mm)
 
 
 def _belt(first: FirstCamera, gathered: Gathered) -> Floats:
     """Give the belt (3,) b·X = 1 to start with: under the first board on it, or from its own stripes."""
     for number, view in enumerate(first.views):
         if view.on_belt:
-            return _under(first, number)
+            return belt_under(first, number)
     if gathered.belt is None or not np.isfinite(gathered.belt).all():
         raise CalibrationError(
             "nothing shows where the belt is",
@@ -444,16 +414,3 @@ def _placed(first: FirstCamera) -> tuple[Integers, Floats]:
         pose[number] = carried[0]
         counts[number] = first.views[number].count - first.views[carried[0]].count
     return pose, counts
-
-
-def _feet(views: list[BoardView], pose: Integers, counts: Floats) -> tuple[Feet, Floats]:
-    """Three corners of the underside of each board that lies on the belt; standard uncertainties, mm."""
-    lies = [number for number, view in enumerate(views) if view.on_belt]
-    places, std_mm = [np.empty((0, 3))], []
-    for board in (views[number].board for number in lies):
-        width, height = board.size_mm
-        at = [[0.0, 0.0], [width, 0.0], [0.5 * width, height]]
-        places.append(np.column_stack([at, np.full(3, board.thickness_mm)]))
-        std_mm += [max(board.flatness_mm, 0.005) / np.sqrt(3.0)] * 3
-    feet = Feet(np.repeat(pose[lies], 3).astype(np.int64), np.concatenate(places), np.repeat(counts[lies], 3))
-    return feet, np.array(std_mm)

@@ -34,11 +34,7 @@ def read_camera(path: Path) -> Floats:
     """
     if _is_calibration(path):
         return _camera_of_calibration(path)
-    storage = _opened(path)
-    try:
-        matrix, lens = _first(storage, _MATRIX), _first(storage, _LENS)
-    finally:
-        storage.release()
+    matrix, lens = _matrices(path, _MATRIX, _LENS)
     if matrix is None or matrix.shape != (3, 3):
         raise DataError(f"{path}: there is no 3 × 3 camera matrix here ({', '.join(_MATRIX)})")
     if abs(matrix[0, 1]) > 1e-9:
@@ -105,11 +101,7 @@ def read_planes(path: Path, *, sign: int = 1) -> Floats:
     DataError
         There are no such rows, or a plane goes through the camera's centre.
     """
-    storage = _opened(path)
-    try:
-        rows = _first(storage, _PLANES)
-    finally:
-        storage.release()
+    (rows,) = _matrices(path, _PLANES)
     if rows is None or rows.ndim != 2 or rows.shape[1] != 4:
         raise DataError(f"{path}: there are no planes here: rows of A, B, C, D named `planes`")
     try:
@@ -118,7 +110,8 @@ def read_planes(path: Path, *, sign: int = 1) -> Floats:
         raise DataError(f"{path}: {error.message}") from error
 
 
-def _opened(path: Path):  # type: ignore[no-untyped-def]  # noqa: ANN202
+def _matrices(path: Path, *wanted: tuple[str, ...]) -> list[Floats | None]:
+    """Give the first matrix of a file that has one of the names wanted, for each of these; None: none has."""
     import cv2
 
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -128,14 +121,9 @@ def _opened(path: Path):  # type: ignore[no-untyped-def]  # noqa: ANN202
         raise DataError(f"{path}: not a file that OpenCV wrote") from error
     if not storage.isOpened():
         raise DataError(f"{path}: the file cannot be read, or OpenCV did not write it")
-    return storage
-
-
-def _first(storage, names: tuple[str, ...]) -> Floats | None:  # type: ignore[no-untyped-def]  # noqa: ANN001
-    for name in names:
-        node = storage.getNode(name)
-        if not node.empty():
-            found = node.mat()
-            if found is not None:
-                return np.asarray(found, np.float64)
-    return None
+    try:
+        found = [[storage.getNode(name).mat() for name in names] for names in wanted]
+    finally:
+        storage.release()
+    given = [[np.asarray(one, np.float64) for one in those if one is not None] for those in found]
+    return [those[0] if those else None for those in given]

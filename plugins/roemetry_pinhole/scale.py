@@ -27,7 +27,7 @@ from roemetry_pinhole.bundle import with_disagreement
 from roemetry_pinhole.from_solids import solids_in
 from roemetry_pinhole.geometry import Bend
 from roemetry_pinhole.joint import Joint
-from roemetry_pinhole.pinhole_plane import by_parameter, lines_at_height, parameters_of, points_of
+from roemetry_pinhole.pinhole_plane import by_parameter, flat, lines_at_height, parameters_of, points_of
 from roemetry_pinhole.plates import plate_scale
 from roemetry_pinhole.prints import compared, tolerance_of
 
@@ -54,11 +54,6 @@ def by_scale(parameters: Mapping[str, Floats]) -> Floats:
     if "travel_mm_per_count" in parameters:
         found["travel_mm_per_count"] = parameters["travel_mm_per_count"]
     return flat(found)
-
-
-def flat(parameters: Mapping[str, Floats]) -> Floats:
-    """Give all parameters in the order of the covariance."""
-    return np.concatenate([np.ravel(array) for array in parameters.values()])
 
 
 _ROUNDS_MAX = 8

@@ -25,7 +25,7 @@ from roemetry.records import EDGE, WIDE, Observation, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.boards import on_board, on_even_print
 from roemetry_pinhole.geometry import ON_BELT, StripePoints, rays
-from roemetry_pinhole.initial_intrinsics import FirstCamera, reasons
+from roemetry_pinhole.initial_intrinsics import FirstCamera, belt_under, reasons
 from roemetry_pinhole.numbering import PoseLines, number_stripes
 from roemetry_pinhole.prints import first_sizes
 
@@ -393,8 +393,7 @@ def _belt_pose(first: FirstCamera, belts: tuple[Observation, ...], stripes: int)
     lies = [number for number, view in enumerate(first.views) if view.on_belt]
     if not lies:
         return None
-    normal = first.rotation[lies[0]][:, 2]
-    plane = normal / (normal @ first.shift[lies[0]] + first.views[lies[0]].board.thickness_mm)
+    plane = belt_under(first, lies[0])
     for view in belts:
         xy = _straight(view.peaks, first.camera)
         usable = (view.peaks.flags & (EDGE | WIDE)) == 0
