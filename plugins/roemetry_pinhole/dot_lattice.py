@@ -15,6 +15,7 @@ turned by more than 45° in the image.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
@@ -143,20 +144,19 @@ def numbered_on_boards(
         if len(at) < _PAIRS_MIN:
             continue
         high = at.max(axis=0)
-        for right in range(-high[0], count[0]):
-            for down in range(-high[1], count[1]):
-                moved = at + np.array([right, down])
-                inside = ((moved >= 0) & (moved < count)).all(axis=1)
-                if inside.sum() < max(_PAIRS_MIN, len(at) // 2):
-                    continue
-                pair = index[moved[inside, 0], moved[inside, 1]]
-                here = place[inside][pair >= 0]
-                point = _meeting(belt_mm[pair[pair >= 0]], here)
-                if point is not None:
-                    points.append(point)
+        for offset in product(range(-high[0], count[0]), range(-high[1], count[1])):
+            moved = at + np.array(offset)
+            inside = ((moved >= 0) & (moved < count)).all(axis=1)
+            if inside.sum() < max(_PAIRS_MIN, len(at) // 2):
+                continue
+            pair = index[moved[inside, 0], moved[inside, 1]]
+            point = _meeting(belt_mm[pair[pair >= 0]], place[inside][pair >= 0])
+            if point is not None:
+                points.append(point)
     everywhere = np.concatenate(boards_mm) if boards_mm else np.empty((0, 3))
     to_lattice = _Lattice(belt_mm, belt_at)
-    shares = np.array([_share(to_lattice, point, everywhere) for point in points])
+    found = [to_lattice.of(point, everywhere) for point in points]
+    shares = np.array([near.mean() for _, near in found])
     if not points or shares.max() < _FITS:
         most = f"{shares.max():.0%}" if len(shares) else "none"
         raise CalibrationError(
@@ -164,22 +164,16 @@ def numbered_on_boards(
             f"lie on dots of the belt (at best {most} of them)",
             hint="did projector or camera move between the images? Does all light come from one projector?",
         )
-    best_point = points[int(shares.argmax())]
-    best = to_lattice.of(best_point, everywhere)
-    for point in (points[n] for n in np.flatnonzero(shares > _OTHER * shares.max())):
-        other = to_lattice.of(point, everywhere)
-        both = best[1] & other[1]
-        if both.any() and (best[0][both] != other[0][both]).any(axis=1).mean() < _OTHER_NUMBERS:
-            continue
-        raise CalibrationError(
-            "the dots on the boards can be numbered in two ways",
-            hint="take boards at more different heights, and tilted",
-        )
-    numbers = []
-    for place in boards_mm:
-        at, near = to_lattice.of(best_point, place)
-        numbers.append(np.where(near[:, None], at, -1))
-    return numbers, best_point
+    best, near = found[int(shares.argmax())]
+    for other, others_near in (found[n] for n in np.flatnonzero(shares > _OTHER * shares.max())):
+        both = near & others_near
+        if not both.any() or (best[both] != other[both]).any(axis=1).mean() >= _OTHER_NUMBERS:
+            raise CalibrationError(
+                "the dots on the boards can be numbered in two ways",
+                hint="take boards at more different heights, and tilted",
+            )
+    ends = np.cumsum([len(place) for place in boards_mm])[:-1]
+    return np.split(best, ends), points[int(shares.argmax())]
 
 
 def _meeting(belt_mm: Floats, board_mm: Floats) -> Floats | None:
@@ -206,9 +200,8 @@ class _Lattice:
     def __init__(self, belt_mm: Floats, at: Integers) -> None:
         self._middle = belt_mm[:, :2].mean(axis=0)
         self._reach = np.abs(belt_mm[:, :2] - self._middle).max()
-        self._coefficients = np.linalg.lstsq(self._powers(belt_mm[:, :2]), at.astype(np.float64), rcond=None)[
-            0
-        ]
+        powers = self._powers(belt_mm[:, :2])
+        self._coefficients = np.linalg.lstsq(powers, at.astype(np.float64), rcond=None)[0]
         self._count = at.max(axis=0) + 1
 
     def of(self, light_mm: Floats, place_mm: Floats) -> tuple[Integers, np.ndarray]:
@@ -224,7 +217,3 @@ class _Lattice:
     def _powers(self, place_mm: Floats) -> Floats:
         x, y = ((place_mm - self._middle) / self._reach).T
         return np.column_stack([x**i * y**j for i in range(4) for j in range(4 - i)])
-
-
-def _share(lattice: _Lattice, light_mm: Floats, place_mm: Floats) -> float:
-    return float(lattice.of(light_mm, place_mm)[1].mean()) if len(place_mm) else 0.0

@@ -49,7 +49,7 @@ def findings_of(observed: CalibrationSet, seen: Seen, joined: Joint | None) -> t
 def _used(joined: Joint) -> dict[str, tuple[Floats, int, str]]:
     """Give by image the stripe points that count, how many do not, and how far its marks are off."""
     points, kept = joined.measured.points, joined.adjusted.stripe_used
-    at = np.column_stack([points.x_px, points.row_px])
+    at = points.xy_px
     corners, found, first = joined.measured.corners, {}, dict[int, float]()
     # of each view its pose, the images of its marks and of its stripes, and its counts
     views = []
@@ -71,7 +71,7 @@ def target_views(joined: Joint, observed: CalibrationSet, calibration: Calibrati
     """Give the views of boards that are used, and the first image of the empty belt."""
     points, adjusted = joined.measured.points, joined.adjusted
     geometry, view = adjusted.geometry, calibration.view
-    peaks_px = np.column_stack([points.x_px, points.row_px])
+    peaks_px = points.xy_px
     found, first = [], 0
     for number, board in zip(joined.pose.tolist(), joined.first.views, strict=True):
         count = len(board.marks.xy_px)

@@ -290,8 +290,8 @@ def from_solids(
     _check_belt(fit.adjusted)
     longer = []
     for number, solid in enumerate(solids):
-        for made in toleranced(solid):
-            other = [*solids[:number], made(solid.tolerance_mm / np.sqrt(3.0)), *solids[number + 1 :]]
+        for made in toleranced(solid, solid.tolerance_mm / np.sqrt(3.0)):
+            other = [*solids[:number], made, *solids[number + 1 :]]
             points, edges = fit.assigned.placed([shape_of(one) for one in other])
             longer.append(replace(fit.measured, points=points, edges=edges).step_of(fit.adjusted)[0])
     shapes = tuple(shape_of(solid) for solid in solids)

@@ -244,14 +244,9 @@ def unknowns_of(
 
 def turned(vectors: Floats) -> Floats:
     """Give (n, 3, 3) rotations by vectors (n, 3), rad (Rodrigues)."""
-    angle = np.sqrt((vectors**2).sum(axis=1))
-    axis = vectors / np.where(angle > 0, angle, 1.0)[:, None]
-    zero = np.zeros(angle.size)
-    x, y, z = axis.T
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    rotation: Floats = np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross)
-    return rotation
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
 def crossed(a: Floats, b: Floats) -> Floats:
@@ -309,6 +304,11 @@ class StripePoints:
     face: Floats | None = None
     """(point, 4) n and d with n·X = d, mm, in the pose's own frame: the plane of the surface the point lies
     on; None where all lie on boards, whose surface is (0, 0, 1, 0)."""
+
+    @property
+    def xy_px(self) -> Floats:
+        """(point, 2) where the peak is, px."""
+        return np.column_stack([self.x_px, self.row_px])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -412,7 +412,7 @@ def stripe_residuals(geometry: Geometry, points: StripePoints) -> Floats:
 def plane_distances(geometry: Geometry, points: StripePoints) -> Floats:
     """Give (point,) how far from its plane of light each peak's ray meets board or belt, mm."""
     where = _Lines(geometry, points)
-    ray = rays(geometry.camera, np.column_stack([points.x_px, points.row_px]))
+    ray = rays(geometry.camera, points.xy_px)
     surface = np.where(where.on_belt[:, None], geometry.belt, where.normal)
     away = np.where(where.on_belt, 1.0, where.distance)
     at = ray * (away / (surface * ray).sum(axis=1))[:, None]
@@ -450,8 +450,7 @@ class _Lines:
         """Put in place of a board's plane the one that touches it where the ray meets it."""
         on = np.flatnonzero(~self.on_belt)
         rotation, place = geometry.rotation[points.pose[on]], self.place[on]
-        seen = np.column_stack([points.x_px, points.row_px])[on]
-        ray = rays(self._camera, seen)
+        ray = rays(self._camera, points.xy_px[on])
         normal, distance = self.normal[on], self.distance[on]
         for _ in range(_BENT_ROUNDS):
             at = ray * (distance / (normal * ray).sum(axis=1))[:, None]
@@ -468,14 +467,11 @@ class _Lines:
     def way_px(self, x_px: Floats) -> tuple[Floats, Floats, Distorted, Floats, Floats, Floats]:
         """Give the way to the line along the row, px; place in the bent image, lens, ray, ∂/∂place, slope."""
         focal = self._camera[:2]
-        seen = np.empty((x_px.size, 2))
-        seen[:, 0] = (x_px - self._camera[2]) / focal[0]
-        seen[:, 1] = (self._row_px - self._camera[3]) / focal[1]
+        seen = (np.column_stack([x_px, self._row_px]) - self._camera[2:4]) / focal
         xy = undistort(seen, self._camera[4:], self._straight)
         lens = distort(xy, self._camera[4:])
         self._straight = xy
-        ray = np.ones((x_px.size, 3))
-        ray[:, :2] = xy
+        ray = np.column_stack([xy, np.ones(len(xy))])
         by_seen = by_bent(self._line, lens)
         slope = by_seen[:, 0] / focal[0]
         return (self._line * ray).sum(axis=1) / slope, seen, lens, ray, by_seen, slope
@@ -486,10 +482,7 @@ def by_bent(line: Floats, lens: Distorted) -> Floats:
     a, b, c, d = (lens.by_place[:, i, j] for i in (0, 1) for j in (0, 1))
     area = a * d - b * c
     u, v = line[:, 0] / area, line[:, 1] / area
-    derivatives = np.empty((len(line), 2))
-    derivatives[:, 0] = u * d - v * c
-    derivatives[:, 1] = v * a - u * b
-    return derivatives
+    return np.column_stack([u * d - v * c, v * a - u * b])
 
 
 def foot_rows(geometry: Geometry, unknowns: Unknowns, feet: Feet) -> Rows:

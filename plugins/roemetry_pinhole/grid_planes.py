@@ -36,14 +36,9 @@ TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def turned_parameters(parameters: Mapping[str, Floats], columns: int) -> dict[str, Floats]:
-    """Give `pinhole-plane`'s parameters of the lines across, for the turned image.
+    """Give `pinhole-plane`'s parameters of the lines across, for the turned image, once `columns` px wide.
 
-    Parameters
-    ----------
-    parameters
-        Of the image as it is, `columns` px wide; `across_planes_per_mm` are the planes.
-    columns
-        Width of the image, px.
+    In `parameters`, of the image as it is, `across_planes_per_mm` are the planes.
     """
     lens = parameters["distortion"].copy()
     lens[2:4] = -lens[3], lens[2]

@@ -13,7 +13,6 @@ It fails where all boards are parallel, which is refused.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -57,6 +56,11 @@ class FirstCamera:
     rotation: Floats
     shift: Floats
 
+    def surface(self, number: int, under_mm: float = 0.0) -> Floats:
+        """Give (3,) p·X = 1 of a view's board, or of what is so far under its print."""
+        normal = self.rotation[number][:, 2]
+        return np.asarray(normal / (normal @ self.shift[number] + under_mm))
+
 
 def first_camera(
     seen: Seen,
@@ -69,20 +73,9 @@ def first_camera(
 ) -> FirstCamera:
     """Find the camera, or only the poses where the camera is known.
 
-    Parameters
-    ----------
-    seen
-        The poses; what is left out is added to it.
-    image_size
-        Rows and columns.
-    lens
-        Key of `FREE`.
-    known
-        (12,) the camera, if it is known.
-    tried
-        Number of poses there were, for messages.
-    least_if_known
-        Number of poses that are needed where the camera is known.
+    What is left out of the poses is added to `seen`; `lens` is a key of `FREE`, `known` (12,) the camera, if
+    it is known, `tried` the number of poses there were, for messages, and `least_if_known` the number that is
+    needed where the camera is known.
 
     Raises
     ------
@@ -240,10 +233,9 @@ def corners_of(first: FirstCamera, pose: Integers, counts: Floats) -> Corners:
     )
 
 
-def belt_under(first: FirstCamera, number: Any) -> Floats:
+def belt_under(first: FirstCamera, number: int) -> Floats:
     """Give (3,) b·X = 1 of what the board of a view lies on."""
-    normal = first.rotation[number][:, 2]
-    return np.asarray(normal / (normal @ first.shift[number] + first.views[number].board.thickness_mm))
+    return first.surface(number, first.views[number].board.thickness_mm)
 
 
 def feet_of(views: list[BoardView], pose: Integers, counts: Floats) -> tuple[Feet, Floats]:

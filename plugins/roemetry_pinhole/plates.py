@@ -392,7 +392,7 @@ def from_plate(
         points = _points(on_belt, plates, plate, first, longer)
         by_tolerance.append(replace(measured, points=points).step_of(adjusted)[0])
     top, along = plate.centre_height_mm + 0.5 * plate.diameter_mm, plate.rows * plate.pitch_mm
-    shape = Shape("sphere-plate", plate.name, (), 0, top, along, top, False, (0.0,))
+    shape = Shape("sphere-plate", plate.name, (), 0, top, along, top, False)
     return OnSolids(measured, adjusted, (shape,), tuple(by_tolerance), 0.0)
 
 

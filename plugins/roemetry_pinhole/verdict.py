@@ -354,7 +354,7 @@ def cross_validate(measured: Measured, found: Geometry) -> CrossValidation:
             board = Measured(alone.start, unknowns, alone.corners).adjusted().geometry
             off = -corner_residuals(board, alone.corners).reshape(-1, 2)
             points = chosen(measured.points, measured.points.pose == pose)
-            at = np.column_stack([points.x_px, points.row_px])
+            at = points.xy_px
             marks = off, alone.corners.xy_px, np.full(len(off), pose)
             parts.append((*marks, _heights(geometry, board, points), at, points.pose, points.stripe))
     none, both, whole = np.empty(0), np.empty((0, 2)), np.empty(0, np.int64)
@@ -364,7 +364,7 @@ def cross_validate(measured: Measured, found: Geometry) -> CrossValidation:
 
 def lifted(geometry: Geometry, points: StripePoints) -> Floats:
     """Give (point, 3) where the points' rays meet their planes of light, camera frame, mm."""
-    ray = rays(geometry.camera, np.column_stack([points.x_px, points.row_px]))
+    ray = rays(geometry.camera, points.xy_px)
     return np.asarray(ray / (ray * geometry.planes[points.stripe]).sum(axis=1)[:, None])
 
 
@@ -460,7 +460,7 @@ def _residuals(
     adjusted, measured = joined.adjusted, joined.measured
     marks, used = measured.corners, adjusted.corner_used
     points, seen = measured.points, adjusted.stripe_used
-    peaks_px = np.column_stack([points.x_px, points.row_px])
+    peaks_px = points.xy_px
     shown = [
         Residuals(
             f"board corners, {axis}", "px", marks.xy_px[used], -adjusted.corner_px[used, n], marks.pose[used],

@@ -235,7 +235,7 @@ def _text(document: Mapping[str, Any]) -> str:
 
 def hashed(paths: Sequence[Path]) -> dict[str, str]:
     """Give the SHA-256 of each file by its name."""
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+    return {path.name: sha256_of(path) for path in paths}
 
 
 def _private(path: Path) -> Any:

@@ -121,43 +121,25 @@ def read_model(path: Path) -> tuple[ModelFile, Callable[..., Floats]]:
 def artefact_of(path: Path, std_mm: float) -> Artefact:
     """Read an artefact's description; ConfigurationError where it is at fault or of a kind without a test."""
     described = read_target(path)
-    target: SpherePlate | Block | Staircase | None = None
-    if isinstance(described, SpherePlateFile):
-        target = read_sphere_plate(described, path.parent)
-    elif isinstance(described, BlockFile):
-        target = read_block(described, path.parent)
-    elif isinstance(described, StaircaseFile):
-        target = read_staircase(described, path.parent)
-    if target is None:
+    readers: dict[type, Callable[..., SpherePlate | Block | Staircase]] = {
+        SpherePlateFile: read_sphere_plate,
+        BlockFile: read_block,
+        StaircaseFile: read_staircase,
+    }
+    if type(described) not in readers:
         raise ConfigurationError(
             f"{path}: kind: found {described.kind!r}, expected one of sphere-plate, block, staircase"
         )
-    return Artefact(target, std_mm)
+    return Artefact(readers[type(described)](described, path.parent), std_mm)
 
 
 _FUNCTIONS: dict[str, Callable[..., Floats]] = {
-    "sqrt": np.sqrt,
-    "exp": np.exp,
-    "log": np.log,
-    "sin": np.sin,
-    "cos": np.cos,
+    name: getattr(np, name) for name in ("sqrt", "exp", "log", "sin", "cos")
 }
 _ALLOWED = (
-    ast.Expression,
-    ast.BinOp,
-    ast.UnaryOp,
-    ast.Constant,
-    ast.Name,
-    ast.Load,
-    ast.Call,
-    ast.Add,
-    ast.Sub,
-    ast.Mult,
-    ast.Div,
-    ast.Pow,
-    ast.USub,
-    ast.UAdd,
-)
+    ast.Expression, ast.BinOp, ast.UnaryOp, ast.Constant, ast.Name, ast.Load, ast.Call, ast.Add, ast.Sub,
+    ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd,
+)  # fmt: skip
 
 
 def formula(text: str, names: set[str], place: str) -> Callable[..., Floats]:
