@@ -229,9 +229,9 @@ class Marks:
     layout: str
     """Of a ChArUco board the layout that fits, ``new`` or ``old``; else ""."""
     edge_px: float
-    """Width of its edges in the image, px: range of grey levels over the steepest slope."""
     spacing_px: float
-    """Median distance of neighbouring marks, px."""
+    """edge_px, spacing_px: width of its edges in the image, range of grey levels over the steepest slope, and
+    median distance of neighbouring marks, px."""
     radius_mm: float = 0.0
     """Of a grid's circles, estimated from their area in the image; 0 for other boards."""
 
@@ -244,7 +244,11 @@ def find_marks(frame: Frame, board: Board) -> Marks:
     BoardNotFoundError
         It cannot be used, with the reason: not there, blurred, tiny, cut off, mirrored, another board.
     """
-    grey = _eight_bit(frame)
+    import cv2
+
+    grey = np.ascontiguousarray(frame.pixels)
+    if grey.dtype != np.uint8 or frame.bit_depth != 8:
+        grey = np.rint(grey * (255.0 / frame.white)).clip(0, 255).astype(np.uint8)
     layout, radius_mm = "", 0.0
     if board.kind == "charuco":
         board_mm, xy_px, layout = _charuco(grey, board)
@@ -265,15 +269,19 @@ def find_marks(frame: Frame, board: Board) -> Marks:
             f"the board is blurred: its edges are {edge_px:.1f} px wide, its corners {spacing_px:.1f} px "
             f"apart; {SHARPER}"
         )
-    _check_fit(board_mm, xy_px, spacing_px, board)
+    matrix = cv2.findHomography(board_mm[:, :2].copy(), xy_px, 0)[0]
+    if matrix is None:
+        raise BoardNotFoundError(
+            "the board is seen edge on: its corners lie on a line; turn it towards the camera"
+        )
+    seen = np.column_stack([board_mm[:, :2], np.ones(len(board_mm))]) @ matrix.T
+    off_px = float(np.median(np.hypot(*(seen[:, :2] / seen[:, 2:] - xy_px).T)))
+    if off_px > _FIT_SHARE_MAX * spacing_px:
+        raise BoardNotFoundError(
+            f"the corners do not lie as on a board of {board.columns} × {board.rows}: "
+            f"they are {off_px:.1f} px off; is it another board? Correct `board`, or leave the image out"
+        )
     return Marks(board_mm, xy_px, layout, edge_px, spacing_px, radius_mm)
-
-
-def _eight_bit(frame: Frame) -> NDArray[np.uint8]:
-    pixels = frame.pixels
-    if pixels.dtype == np.uint8 and frame.bit_depth == 8:
-        return np.ascontiguousarray(pixels)
-    return np.ascontiguousarray(np.rint(pixels * (255.0 / frame.white)).clip(0, 255).astype(np.uint8))
 
 
 def _charuco(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, str]:
@@ -332,7 +340,7 @@ def _chessboard(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats]:
     spacing = float(np.median(np.hypot(*np.diff(corners[: size[0], 0, :], axis=0).T)))
     # over a window that holds more of the edges than the detector's own it scatters less
     xy = _refined(grey, corners, spacing).reshape(size[1], size[0], 2)
-    return _grid(_right_handed(xy), board.pitch_mm, 1.0)
+    return _grid(xy, board.pitch_mm, 1.0)
 
 
 def _circles(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, float]:
@@ -354,9 +362,8 @@ def _circles(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, flo
         circles = np.array([one.pt for one in detector.detect(grey)], np.float64).reshape(-1, 2)
         raise BoardNotFoundError(lambda: why_no_circles(grey, board, circles))
     xy = np.asarray(centres, np.float64).reshape(size[1], size[0], 2)
-    board_mm, places = _grid(_right_handed(xy), board.pitch_mm, 0.5)
-    spacing_px = _spacing(board_mm, places, board.pitch_mm)
-    centres, area_px = _centred(grey, places, spacing_px)
+    board_mm, places = _grid(xy, board.pitch_mm, 0.5)
+    centres, area_px = _centred(grey, places, _spacing(board_mm, places, board.pitch_mm))
     matrix = cv2.findHomography(board_mm[:, :2], centres, 0)[0]
     homogeneous = np.column_stack([board_mm[:, :2], np.ones(len(board_mm))]) @ matrix.T
     # area of the image of a unit of the board, at each mark
@@ -364,13 +371,11 @@ def _circles(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, flo
     return board_mm, centres, float(np.sqrt(np.nanmedian(area_px / scale) / np.pi))
 
 
-def _right_handed(xy: Floats) -> Floats:
-    """Order (row, column, 2) so that rows follow columns clockwise in the image, whose y points down."""
-    along, down = xy[0, -1] - xy[0, 0], xy[-1, 0] - xy[0, 0]
-    return xy if along[0] * down[1] - along[1] * down[0] > 0 else xy[:, ::-1]
-
-
 def _grid(xy: Floats, pitch_mm: float, first: float) -> tuple[Floats, Floats]:
+    """Give places on the board and in the image, of marks (row, column, 2) in either order of the columns."""
+    # rows follow columns clockwise in the image, whose y points down
+    along, down = xy[0, -1] - xy[0, 0], xy[-1, 0] - xy[0, 0]
+    xy = xy if along[0] * down[1] - along[1] * down[0] > 0 else xy[:, ::-1]
     row, column = np.indices(xy.shape[:2])
     places = np.stack([column + first, row + first, np.zeros(row.shape)], axis=2) * pitch_mm
     return places.reshape(-1, 3), xy.reshape(-1, 2)
@@ -425,24 +430,6 @@ def _edge_width(grey: NDArray[np.uint8], xy_px: Floats, spacing_px: float) -> fl
     return float(np.median(widths))
 
 
-def _check_fit(board_mm: Floats, xy_px: Floats, spacing_px: float, board: Board) -> None:
-    import cv2
-
-    flat = board_mm[:, :2].astype(np.float64)
-    matrix, _ = cv2.findHomography(flat, xy_px, 0)
-    if matrix is None:
-        raise BoardNotFoundError(
-            "the board is seen edge on: its corners lie on a line; turn it towards the camera"
-        )
-    seen = np.column_stack([flat, np.ones(len(flat))]) @ matrix.T
-    off = float(np.median(np.hypot(*(seen[:, :2] / seen[:, 2:] - xy_px).T)))
-    if off > _FIT_SHARE_MAX * spacing_px:
-        raise BoardNotFoundError(
-            f"the corners do not lie as on a board of {board.columns} × {board.rows}: "
-            f"they are {off:.1f} px off; is it another board? Correct `board`, or leave the image out"
-        )
-
-
 _LIT_GREY = 0.06
 """Of white: what the laser must add or take to count as a change; noise of two images is 0.01 to 0.02."""
 _UNEVEN_NOISE = 0.02
@@ -459,21 +446,18 @@ class BoardView:
     """The board in one pose."""
 
     name: str
-    """Of the image in which its marks were found."""
     marks: Marks
-    """Its marks."""
+    """name, marks: of the image in which its marks were found, and these."""
     laser: Observation | None
-    """The image with the laser on, with its peaks; None where there is none that can be used."""
     plain: Observation | None
-    """The image with the laser off, if there is one."""
+    """laser, plain: the images with the laser on, with its peaks, and off; None where none can be used."""
     on_belt: bool
     """Whether the board lies on the belt."""
     count: float
     """Encoder count; NaN where not known."""
     board: Board
-    """The board as it is described."""
     number: int = 0
-    """Its number among the boards of the set."""
+    """board, number: the board as described, and its number among those of the set."""
     pose: str = ""
     """The pose, by the number in its images' names."""
     raw_px: Floats | None = None

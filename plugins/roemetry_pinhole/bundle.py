@@ -414,24 +414,26 @@ def _correlation(off: Floats, points: StripePoints, weights: Weights) -> float:
     """1 + 2 Σ ρ over the lags along a stripe up to the first that is not significant."""
     order = np.lexsort((points.row_px, points.stripe, points.pose))
     order = order[weights.stripe[order] > 0]
-    pose, stripe, row = points.pose[order], points.stripe[order], points.row_px[order]
-    value = off[order]
-    if value.size < 100:
+    pose, stripe, row, value = (of[order] for of in (points.pose, points.stripe, points.row_px, off))
+    if value.size < _CORRELATED_MIN:
         return 1.0
-    square = float((value**2).mean())
     apart = np.diff(row)[(np.diff(pose) == 0) & (np.diff(stripe) == 0)]
     step = float(np.median(apart)) if apart.size else 1.0
-    factor = 1.0
+    square, factor = float((value**2).mean()), 1.0
     for lag in range(1, _LAGS + 1):
         together = (pose[lag:] == pose[:-lag]) & (stripe[lag:] == stripe[:-lag])
         together &= row[lag:] - row[:-lag] <= (lag + 0.5) * step
-        if together.sum() < 100:
+        if together.sum() < _CORRELATED_MIN:
             break
         share = float((value[lag:] * value[:-lag])[together].mean()) / square
         if share < 2.0 / np.sqrt(together.sum()):
             break
         factor += 2.0 * share
     return factor
+
+
+_CORRELATED_MIN = 100
+"""Points, or pairs of them, from which a correlation is known to a tenth."""
 
 
 def _spread(distance: Floats) -> float:
@@ -513,18 +515,13 @@ def _disagreement(problem: Problem, geometry: Geometry) -> float:
     At the minimum these pulls cancel. With R a pose's share of the normal matrix, its own unknowns
     eliminated, and N the sum of all, independent noise gives its pull r the covariance R − R N⁻¹ R.
     """
-    from scipy.linalg import LinAlgError, cholesky, solve_triangular
+    from scipy.linalg import solve_triangular
 
     unknowns = problem.unknowns
     shared = np.setdiff1d(np.arange(unknowns.count), unknowns.poses)
     numbers = [ON_BELT, *range(len(unknowns.poses))]
     parts = np.array([_shared_part(problem, geometry, pose, shared) for pose in numbers])
-    total = parts[:, :, :-1].sum(axis=0)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(total), np.finfo(np.float64).tiny))
-    try:
-        root = cholesky(total * scale[:, None] * scale, lower=True)
-    except LinAlgError as error:
-        raise _undetermined() from error
+    (root, _), scale = _factored(parts[:, :, :-1].sum(axis=0))
     pulled = expected = 0.0
     for part in parts[1:]:
         white = solve_triangular(root, scale[:, None] * part, lower=True)
@@ -537,21 +534,19 @@ def _disagreement(problem: Problem, geometry: Geometry) -> float:
 def _shared_part(problem: Problem, geometry: Geometry, pose: int, shared: Integers) -> Floats:
     """Give a pose's normal matrix and gradient of the shared unknowns, side by side, without its own."""
     corners, points, feet = (rows.pose == pose for rows in (problem.corners, problem.points, problem.feet))
-    weights = problem.weights
-    std_mm = problem.foot_std_mm
-    of_pose = replace(
-        problem,
-        corners=chosen(problem.corners, corners),
-        points=chosen(problem.points, points),
-        feet=chosen(problem.feet, feet),
-        foot_std_mm=std_mm if np.ndim(std_mm) == 0 else np.asarray(std_mm)[feet],
-        weights=replace(weights, corner=weights.corner[corners], stripe=weights.stripe[points]),
-        edges=problem.edges if pose == ON_BELT else NO_EDGES,
+    weights, std_mm = problem.weights, problem.foot_std_mm
+    of_pose = Problem(
+        problem.unknowns,
+        chosen(problem.corners, corners),
+        chosen(problem.points, points),
+        chosen(problem.feet, feet),
+        std_mm if isinstance(std_mm, float) else std_mm[feet],
+        replace(weights, corner=weights.corner[corners], stripe=weights.stripe[points]),
+        problem.edges if pose == ON_BELT else NO_EDGES,
     )
     normal, gradient = of_pose.normal(geometry)
     both = np.column_stack([normal, gradient])
     own = np.empty(0, np.int64) if pose == ON_BELT else problem.unknowns.poses[pose]
-    own = own[own >= 0]
     gone = np.linalg.solve(normal[np.ix_(own, own)], both[own])
     return np.asarray((both - normal[:, own] @ gone)[np.ix_(shared, np.append(shared, -1))])
 
@@ -559,7 +554,7 @@ def _shared_part(problem: Problem, geometry: Geometry, pose: int, shared: Intege
 def chosen(rows: _Rows, keep: Flags, poses: Integers | None = None) -> _Rows:
     """Give some of the rows; with `poses` (ascending) their poses numbered by the place in there."""
     given = {field.name: getattr(rows, field.name) for field in fields(rows)}
-    parts: dict[str, Any] = {name: None if column is None else column[keep] for name, column in given.items()}
+    parts = {name: None if column is None else column[keep] for name, column in given.items()}
     if poses is not None:
         pose = rows.pose[keep]
         parts["pose"] = np.where(pose == ON_BELT, ON_BELT, np.searchsorted(poses, pose))
@@ -570,18 +565,9 @@ def chosen(rows: _Rows, keep: Flags, poses: Integers | None = None) -> _Rows:
 def add_rows(
     columns: Integers, values: Floats, residual: Floats, weight: Floats, normal: Floats, gradient: Floats
 ) -> None:
-    """Add rows of a sparse Jacobian to JᵀWJ and JᵀWr.
+    """Add rows of a sparse Jacobian to JᵀWJ (n, n), of which the lower triangle alone, and JᵀWr (n,).
 
-    Parameters
-    ----------
-    columns
-        (row, k) which parameter each value belongs to; −1 for none.
-    values
-        (row, k) derivatives.
-    residual, weight
-        (row,) of each row.
-    normal, gradient
-        (n, n) and (n,); added to. Of `normal` the lower triangle alone.
+    `columns` (row, k) says which parameter each of the derivatives `values` (row, k) belongs to, −1 for none.
     """
     for row in range(columns.shape[0]):
         w = weight[row]
