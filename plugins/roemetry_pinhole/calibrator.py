@@ -31,12 +31,7 @@ from roemetry_pinhole.bundle import Adjusted
 from roemetry_pinhole.findings import findings_of, target_views
 from roemetry_pinhole.joint import Joint, camera_alone, joint, of_planes, planes_by_solids
 from roemetry_pinhole.known_files import read_planes
-from roemetry_pinhole.pinhole_plane import (
-    METHOD,
-    covariance_of,
-    derived,
-    parameters_of,
-)
+from roemetry_pinhole.pinhole_plane import METHOD, covariance_of, derived, parameters_of
 from roemetry_pinhole.scale import (
     check_beside_solids,
     check_scale,
@@ -75,8 +70,7 @@ class PinholeCalibratorOptions(BoardOptions):
         "--camera-only` writes it, or a calibration",
     )
     planes: Path | None = Field(
-        default=None,
-        description="OpenCV file with known planes of light: rows A, B, C, D, camera frame, mm",
+        default=None, description="OpenCV file with known planes of light: rows A, B, C, D, camera frame, mm"
     )
     planes_form: Literal["Ax+By+Cz+D=0", "Ax+By+Cz-D=0"] = Field(
         default="Ax+By+Cz+D=0", description="what a row of the file of planes means"
@@ -124,12 +118,9 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
     def calibrate(self, observed: CalibrationSet) -> Calibration:
         """Calibrate.
 
-        Raises
-        ------
-        CalibrationError
-            No board is described or seen, too few poses or too little variety, a stripe on fewer than two
-            boards, no belt, a scale that two targets contradict, planes that do not agree, or residuals that
-            are no noise; with what was left out and why.
+        Raises CalibrationError: no board is described or seen, too few poses or too little variety, a stripe
+        on fewer than two boards, no belt, a scale that two targets contradict, planes that do not agree, or
+        residuals that are no noise; with what was left out and why.
         """
 
         def made(some: CalibrationSet) -> Calibration:
@@ -306,10 +297,7 @@ def levelled(adjusted: Adjusted, middle_mm: Floats, gravity: Floats, std_deg: fl
     `middle_mm` and `gravity`, downwards and of any length, are (3,) in the camera's frame of the turned image
     (x right, y down, z forward), `std_deg` is the standard uncertainty of gravity's direction, degrees.
 
-    Raises
-    ------
-    CalibrationError
-        The camera does not look down onto the level plane.
+    Raises CalibrationError: the camera does not look down onto the level plane.
     """
     length = float(np.linalg.norm(gravity))
     down = gravity / (length or 1.0)

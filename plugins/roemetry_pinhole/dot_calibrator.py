@@ -18,14 +18,7 @@ from roemetry.stages import Calibrator, Capabilities
 from roemetry_pinhole.boards import Seen, board_views, on_board, on_even_print
 from roemetry_pinhole.calibrator import BoardOptions
 from roemetry_pinhole.dot_lattice import numbered_on_boards, on_belt
-from roemetry_pinhole.dot_rays import (
-    METHOD,
-    DotPoints,
-    adjusted_rays,
-    places_of,
-    rays_of,
-    view_of,
-)
+from roemetry_pinhole.dot_rays import METHOD, DotPoints, adjusted_rays, places_of, rays_of, view_of
 from roemetry_pinhole.geometry import CAMERA, ON_BELT, rays
 from roemetry_pinhole.initial_intrinsics import FirstCamera, belt_under, by_marks, first_camera, free_numbers
 from roemetry_pinhole.known_files import read_camera
@@ -61,11 +54,9 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
     def calibrate(self, observed: CalibrationSet) -> Calibration:
         """Calibrate.
 
-        Raises
-        ------
-        CalibrationError
-            No board, too few poses, no board on the belt or no image of the empty belt, dots that are not the
-            pattern's, that cannot be numbered or do not agree; with what was left out and why.
+        Raises CalibrationError: no board, too few poses, no board on the belt or no image of the empty belt,
+        dots that are not the pattern's, that cannot be numbered or do not agree; with what was left out and
+        why.
         """
         options, count = self.options, observed.stripe_count * self.options.lines
         if observed.board is None:

@@ -85,10 +85,7 @@ def followed(xy_px: Floats) -> Integers:
 def on_belt(xy_px: Floats, columns: int, lines: int, name: str) -> Integers:
     """Number the dots on the empty belt: (n, 2) column and line, −1 of what is none.
 
-    Raises
-    ------
-    CalibrationError
-        The dots that are seen are not the pattern's: of another number, or swapped.
+    Raises CalibrationError: the dots that are seen are not the pattern's: of another number, or swapped.
     """
     at = followed(xy_px)
     seen = at[at[:, 0] >= 0]

@@ -21,13 +21,7 @@ from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
-from roemetry_pinhole.pinhole_plane import (
-    belt_pose,
-    camera_of,
-    lift_stripes,
-    planes_in_belt_frame,
-    view_of,
-)
+from roemetry_pinhole.pinhole_plane import belt_pose, camera_of, lift_stripes, planes_in_belt_frame, view_of
 
 METHOD = "pinhole-grid"
 ACROSS = "across_planes_per_mm"
@@ -62,10 +56,8 @@ class PinholeGrid(Triangulator[StageOptions]):
     def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
         """Give a slice for each stripe, then one for each line across, with a point for each row or column.
 
-        Raises
-        ------
-        StageError
-            There are no lines across, or the map has other numbers of lines or rows than the calibration.
+        Raises StageError: there are no lines across, or the map has other numbers of lines or rows than the
+        calibration.
         """
         across = stripes.across
         if across is None or ACROSS not in calibration.parameters:

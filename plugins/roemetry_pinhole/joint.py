@@ -19,13 +19,7 @@ from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.boards import Seen, board_views
 from roemetry_pinhole.bundle import Adjusted, Measured, with_disagreement
 from roemetry_pinhole.from_solids import OnSolids, from_solids, solids_in
-from roemetry_pinhole.geometry import (
-    CAMERA,
-    Bend,
-    Geometry,
-    rays,
-    unknowns_of,
-)
+from roemetry_pinhole.geometry import CAMERA, Bend, Geometry, rays, unknowns_of
 from roemetry_pinhole.initial_intrinsics import (
     FirstCamera,
     belt_under,
@@ -49,11 +43,8 @@ tens."""
 def with_known_planes(observed: CalibrationSet, camera: Floats | None, planes: Floats) -> Measured:
     """Give the belt's stripes, to be adjusted with camera (12,) and planes (stripe, 3) p·X = 1 as they are.
 
-    Raises
-    ------
-    CalibrationError
-        No camera, another number of planes than stripes, one stripe alone, no image of the belt, or the
-        stripes on it do not lie where the planes could meet one belt.
+    Raises CalibrationError: no camera, another number of planes than stripes, one stripe alone, no image of
+    the belt, or the stripes on it do not lie where the planes could meet one belt.
     """
     if camera is None:
         raise CalibrationError(
@@ -125,15 +116,14 @@ class Joint:
     size: tuple[int, int]
     """Rows and columns of the images."""
     seen: Seen
-    """Poses, and by image why others are not used."""
     first: FirstCamera
-    """The views that are used."""
+    """seen, first: poses, and by image why others are not used; the views that are."""
     pose: Integers
     """(view,) number of the view's pose in the adjustment."""
     print_share: float
-    """Share of the boards' stripe peaks on uneven print, which are not used."""
     stray_share: float
-    """Share of the other stripe peaks that is left out before the adjustment, far off its stripe."""
+    """print_share, stray_share: share of the boards' stripe peaks on uneven print, which are not used, and of
+    the others that is left out before the adjustment, far off its stripe."""
     solids: OnSolids | None
     """What solids on the belt gave, where the planes come from them; else None."""
     measured: Measured
@@ -240,10 +230,7 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
     the standard uncertainty is that of leaving out runs of consecutive images, where that is larger and there
     are many (delete-group jackknife; Shao, Wu 1989, Ann. Statist. 17:1176).
 
-    Raises
-    ------
-    CalibrationError
-        No board is described, too few poses, or poses too much alike.
+    Raises CalibrationError: no board is described, too few poses, or poses too much alike.
     """
     if observed.board is None:
         raise CalibrationError(
@@ -311,13 +298,7 @@ def planes_by_solids(observed: CalibrationSet) -> bool:
 
 
 def _by_solids(
-    observed: CalibrationSet,
-    board: Board | None,
-    seen: Seen,
-    first: FirstCamera,
-    free: Flags,
-    *,
-    bent: bool,
+    observed: CalibrationSet, board: Board | None, seen: Seen, first: FirstCamera, free: Flags, *, bent: bool
 ) -> Joint:
     """Planes from solids on the belt; boards, if there are any, tell the camera, and where the belt is."""
     boards = by_marks(first, free, feet=board is not None, bent=board if bent else None)

@@ -59,14 +59,7 @@ def belt_pose(belt: Floats) -> Floats:
     x = (across, -u * v / across, -u * w / across)
     y = (0.0, w / across, -v / across)
     away = 1.0 / c
-    return np.array(
-        [
-            [*x, -x[2] * away],
-            [*y, -y[2] * away],
-            [u, v, w, -w * away],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    return np.array([[*x, -x[2] * away], [*y, -y[2] * away], [u, v, w, -w * away], [0.0, 0.0, 0.0, 1.0]])
 
 
 def camera_of(parameters: Mapping[str, Floats]) -> Floats:

@@ -70,10 +70,7 @@ def scaled_by_references(
     `joined` is the adjustment with the board's pitch as described, `observed` holds the references' images,
     and `made` gives the calibration of an adjustment, its covariance without that of any length.
 
-    Raises
-    ------
-    CalibrationError
-        There is no reference, or two contradict each other.
+    Raises CalibrationError: there is no reference, or two contradict each other.
     """
     if joined.board is None or joined.solids is not None:
         raise CalibrationError(
@@ -212,10 +209,8 @@ def check_scale(
 ) -> dict[str, Any]:
     """Measure solids, the prints and the belt's way; give residuals and notes with what was found.
 
-    Raises
-    ------
-    CalibrationError
-        One contradicts what the scale comes from: the ratio and its uncertainty are told.
+    Raises CalibrationError: one contradicts what the scale comes from: the ratio and its uncertainty are
+    told.
     """
     residuals, notes = dict(calibration.residuals), list(calibration.notes)
     kind, board = str(calibration.target.get("kind", "known planes")), observed.board
@@ -247,10 +242,7 @@ _HINT = (
 
 
 def references(
-    calibration: Calibration,
-    observed: CalibrationSet,
-    board_std: float = 0.0,
-    joined: Joint | None = None,
+    calibration: Calibration, observed: CalibrationSet, board_std: float = 0.0, joined: Joint | None = None
 ) -> tuple[list[Reference], list[str]]:
     """Give what can be measured with a calibration though it is known, and notes on what was seen.
 
@@ -353,9 +345,7 @@ def check_beside_solids(
     """Give residuals and notes of a calibration from solids with what its other targets say."""
     residuals, notes = check_solids(observed, made)
     found = replace(
-        calibration,
-        residuals={**calibration.residuals, **residuals},
-        notes=(*calibration.notes, *notes),
+        calibration, residuals={**calibration.residuals, **residuals}, notes=(*calibration.notes, *notes)
     )
     # no board's print is what this scale comes from
     kinds = [shows for shows, _ in solids_in(observed)] or ["sphere_plate"]
@@ -370,10 +360,7 @@ def check_solids(
     `made` gives the calibration of a set, or raises CalibrationError. Gives residuals and notes; of solids
     that the others could not do without, a note.
 
-    Raises
-    ------
-    CalibrationError
-        One contradicts the others: the ratio and its uncertainty are told.
+    Raises CalibrationError: one contradicts the others: the ratio and its uncertainty are told.
     """
     residuals: dict[str, float] = {}
     notes: list[str] = []

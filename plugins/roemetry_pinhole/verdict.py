@@ -17,7 +17,7 @@ What it cannot see: an error that all targets share (a wrong pitch, a bent board
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -94,10 +94,8 @@ class Verdict:
 def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
     """Judge an adjustment; `scale_is_known` says whether the board's pitch is what lengths come from.
 
-    Raises
-    ------
-    CalibrationError
-        A plane goes nearly through the camera; stripes do not lie in planes; residuals are no noise.
+    Raises CalibrationError: a plane goes nearly through the camera; stripes do not lie in planes; residuals
+    are no noise.
     """
     adjusted = joined.adjusted
     _check_planes_pass_by(adjusted)
@@ -241,13 +239,10 @@ def _check_planes(adjusted: Adjusted, joined: Joint) -> None:
     """Refuse where a stripe's points do not lie in one plane, by the others' residuals or by those stated."""
     points = joined.measured.points
     stripes = np.unique(points.stripe)
-    rms_px, stated_px = np.empty(stripes.size), np.empty(stripes.size)
-    for n, stripe in enumerate(stripes):
-        mine = points.stripe == stripe
-        rms_px[n] = np.sqrt((adjusted.stripe_px[mine] ** 2).mean())
-        stated_px[n] = np.sqrt((points.std_px[mine] ** 2).mean())
     if not stripes.size:
         return
+    rms_px = np.array([_rms(adjusted.stripe_px[points.stripe == one]) for one in stripes])
+    stated_px = np.array([_rms(points.std_px[points.stripe == one]) for one in stripes])
     worst = int(rms_px.argmax())
     usual = float(np.median(rms_px))
     if stripes.size > 2 and rms_px[worst] > max(_PLANE_FACTOR_MAX * usual, _PLANE_RMS_MIN_PX):
@@ -308,23 +303,20 @@ _POSES_MIN = 4
 """Poses that must be left to calibrate from."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class CrossValidation:
+class CrossValidation(NamedTuple):
     """Errors of a calibration at views that were held out of it."""
 
     mark_px: Floats
     mark_at_px: Floats
-    """mark_px, mark_at_px: (mark, 2) seen less predicted, and where; each board's pose is found from its own
-    marks."""
     mark_pose: Integers
-    """(mark,) pose."""
+    """mark_px, mark_at_px, mark_pose: (mark, 2) seen less predicted, and where, and (mark,) pose; each
+    board's pose is found from its own marks."""
     height_mm: Floats
     height_at_px: Floats
-    """height_mm, height_at_px: (point,) measured less true height, along the belt's normal, of stripe points
-    on the held-out boards, whose marks say where they are; and (point, 2) where in the image."""
     height_pose: Integers
     height_stripe: Integers
-    """height_pose, height_stripe: (point,) pose and stripe."""
+    """height_…: (point,) measured less true height, along the belt's normal, of stripe points on the held-out
+    boards, whose marks say where they are; (point, 2) where in the image; (point,) pose and stripe."""
     skipped: int
     """Poses that cannot be spared: without them the rest determines no calibration."""
 

@@ -72,10 +72,7 @@ class Agreement:
 def agreement(table: StudyTable, good: str) -> Agreement:
     """Compare classes, maybe with references; misses and false alarms are counted by the class `good`.
 
-    Raises
-    ------
-    DataError
-        Fewer than ten parts, or one class throughout.
+    Raises DataError: fewer than ten parts, or one class throughout.
     """
     classes = tuple(sorted({r.value for r in table.readings} | {r.reference for r in table.readings} - {""}))
     if len(table.parts) < PARTS_MIN:

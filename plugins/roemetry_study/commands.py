@@ -35,8 +35,7 @@ Environment = Annotated[
     str, _option("--environment", "Temperature and whatever else matters, for the certificate.")
 ]
 Jobs = Annotated[
-    int,
-    typer.Option("--jobs", "-j", min=1, help="Worker processes; the values are the same for any number."),
+    int, typer.Option("--jobs", "-j", min=1, help="Worker processes; the values are the same for any number.")
 ]
 Cluster = Annotated[str | None, cluster_option()]
 RunValue = Annotated[str, _option("--value", "Of a run: visible_cm3, true_cm3, mass_g or height_max_mm.")]

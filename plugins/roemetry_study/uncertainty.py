@@ -149,10 +149,7 @@ class Cause(NamedTuple):
 def causes(rows: Sequence[Measurement], value: str) -> tuple[float, tuple[Cause, ...]]:
     """Give the standard uncertainty of a run's value, root mean square, and its causes, the largest first.
 
-    Raises
-    ------
-    DataError
-        No row states an uncertainty with its parts.
+    Raises DataError: no row states an uncertainty with its parts.
     """
     budgets = [
         (estimate.std * scale, {name: part * scale for name, part in estimate.budget.items()})
@@ -198,10 +195,7 @@ def compare(
 
     `references` are by id, with their standard uncertainties, in the unit of `value`.
 
-    Raises
-    ------
-    DataError
-        No product is in both, or the run states no uncertainty.
+    Raises DataError: no product is in both, or the run states no uncertainty.
     """
     found = []
     for row in rows:
