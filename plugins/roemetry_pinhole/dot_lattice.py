@@ -113,22 +113,10 @@ def numbered_on_boards(
 ) -> tuple[list[Integers], Floats]:
     """Number the dots on boards by those on the belt.
 
-    Parameters
-    ----------
-    belt_mm, belt_at
-        (n, 3) places of the belt's dots, and (n, 2) their column and line; Z is 0.
-    boards_mm, boards_px
-        Of each board (m, 3) places of its dots in the same frame, and (m, 2) where they are seen.
-
-    Returns
-    -------
-    tuple
-        Of each board (m, 2) column and line, −1 of what is no dot; and the point the light comes from, (3,).
-
-    Raises
-    ------
-    CalibrationError
-        No point of light explains the boards' dots, or two do.
+    Of the belt's dots (n, 3) places, whose Z is 0, and (n, 2) column and line are given; of each board's
+    (m, 3) places in the same frame, and (m, 2) where they are seen. Gives of each board (m, 2) column and
+    line, −1 of what is no dot, and the point the light comes from, (3,). Raises CalibrationError: no point
+    of light explains the boards' dots, or two do.
     """
     count = belt_at.max(axis=0) + 1
     index = np.full(count, -1)
@@ -176,19 +164,26 @@ def numbered_on_boards(
 def _meeting(belt_mm: Floats, board_mm: Floats) -> Floats | None:
     """Give the point in which lines from belt to board meet above both; None if they do not."""
     way = board_mm - belt_mm
-    length = np.linalg.norm(way, axis=1)
-    some = length > 1e-3
+    some = np.linalg.norm(way, axis=1) > 1e-3
     if some.sum() < _PAIRS_MIN:
         return None
-    way, start = way[some] / length[some, None], belt_mm[some]
+    point, off_mm = nearest_point(belt_mm[some], way[some])
+    good = point[2] > board_mm[:, 2].max() and float(np.median(off_mm)) < _MEET_MM
+    return point if good else None
+
+
+def nearest_point(start_mm: Floats, way: Floats) -> tuple[Floats, Floats]:
+    """Give the point nearest to lines through (n, 3) places along (n, 3) ways, and (n,) how far each passes.
+
+    NaN where the lines are parallel.
+    """
+    way = way / np.linalg.norm(way, axis=1)[:, None]
     across = np.eye(3) - way[:, :, None] * way[:, None, :]
     matrix = across.sum(axis=0)
     if np.linalg.cond(matrix) > 1e8:
-        return None
-    point = np.linalg.solve(matrix, (across @ start[:, :, None]).sum(axis=0)[:, 0])
-    off = np.linalg.norm((across @ (point - start)[:, :, None])[..., 0], axis=1)
-    good = point[2] > board_mm[:, 2].max() and float(np.median(off)) < _MEET_MM
-    return point if good else None
+        return np.full(3, np.nan), np.full(len(way), np.nan)
+    point = np.linalg.solve(matrix, (across @ start_mm[:, :, None]).sum(axis=0)[:, 0])
+    return point, np.linalg.norm((across @ (point - start_mm)[:, :, None])[..., 0], axis=1)
 
 
 class _Lattice:

@@ -29,6 +29,7 @@ from roemetry.records.light import at_height, meet
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
 from roemetry_pinhole.bundle import Adjusted
+from roemetry_pinhole.dot_lattice import nearest_point
 from roemetry_pinhole.geometry import ON_BELT, Geometry, Unknowns, distort
 from roemetry_pinhole.geometry import rays as sight
 from roemetry_pinhole.pinhole_plane import belt_pose, camera_matrix, camera_of, check_size, flat
@@ -70,15 +71,13 @@ class FoundRays:
     lines: Floats
     """(ray, 4) in the belt frame; NaN of rays that are seen on too few surfaces."""
     covariance: Floats
-    """(unknown, unknown) of the marks' unknowns."""
     own: Floats
-    """(ray, 4, 4) covariance with those unknowns held fixed."""
     by_unknown: Floats
-    """(ray, 4, unknown) how rays follow them."""
+    """covariance, own, by_unknown: (unknown, unknown) of the marks' unknowns; (ray, 4, 4) of rays with those
+    held fixed; (ray, 4, unknown) how rays follow them."""
     residual_px: Floats
-    """(point, 2)"""
     used: Flags
-    """(point,)"""
+    """residual_px, used: (point, 2), (point,)"""
     factor: float
     """Noise of the dots over what their covariance states."""
 
@@ -90,8 +89,9 @@ def adjusted_rays(marks: Adjusted, points: DotPoints, count: int) -> FoundRays:
     """
     geometry, unknowns = marks.geometry, marks.unknowns
     information = np.linalg.inv(marks.covariance)
+    stated: Floats = np.asarray(np.linalg.inv(points.covariance_px2), np.float64)
     used = np.ones(points.ray.size, np.bool_)
-    total, factor = np.zeros(unknowns.count), 1.0
+    total = np.zeros(unknowns.count)
     for step in range(_ROUNDS):
         used &= _often(points, used, count)
         if not used.any():
@@ -100,14 +100,13 @@ def adjusted_rays(marks: Adjusted, points: DotPoints, count: int) -> FoundRays:
                 hint="hold the board under all of the pattern, in ten poses and more",
             )
         lines = _lines_through(geometry, points, used, count)
-        weight: Floats = np.asarray(np.linalg.inv(points.covariance_px2), np.float64)
         for _ in range(2):
             residual, by_ray = _by_ray(geometry, lines, points)
-            lines = lines + _eliminated(by_ray, weight, residual, points.ray, used, count)[0]
+            lines = lines + _eliminated(by_ray, stated, residual, points.ray, used, count)[0]
         residual, by_ray = _by_ray(geometry, lines, points)
-        used, factor = _judged(residual, points, used)
+        used, factor = _judged(residual, points, stated, used)
         used &= _often(points, used, count)
-        weight = np.where(used[:, None, None], weight / factor**2, 0.0)
+        weight = np.where(used[:, None, None], stated / factor**2, 0.0)
         by_unknown = _by_unknown(geometry, unknowns, marks.covariance, lines, points)
         change, own, follow = _eliminated(by_ray, weight, residual, points.ray, used, count, by_unknown)
         # what is left of a dot's residual, and of its derivatives, once its ray has followed
@@ -169,30 +168,20 @@ def rays_of(found: FoundRays, unknowns: Unknowns, stripes: int) -> tuple[Rays, d
 
 
 def view_of(parameters: Mapping[str, Floats], lines: Floats, image_size: tuple[int, int]) -> View:
-    """Give the camera, and a plane through the rays of each column, belt frame."""
+    """Give the camera, a plane through the rays of each column, normal towards +X, and the rays' point."""
     camera, pose = camera_of(parameters), belt_pose(parameters["belt_per_mm"])
-    planes = np.array([_plane(column) for column in lines])
-    light_mm = _common_point(lines.reshape(-1, 4))
-    return View(image_size, camera_matrix(camera), pose, planes, camera[4:], light_mm)
-
-
-def _plane(lines: Floats) -> Floats:
-    """Give n, d of the plane nearest to rays, normal towards +X."""
-    lines = lines[np.isfinite(lines[:, 0])]
-    points = np.concatenate([at_height(lines, 0.0), at_height(lines, _UP_MM)])
-    middle = points.mean(axis=0)
-    normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
-    normal = normal * (1.0 if normal[0] >= 0.0 else -1.0)
-    return np.append(normal, normal @ middle)
-
-
-def _common_point(lines: Floats) -> Floats:
-    """Give the point nearest to all rays."""
-    lines = lines[np.isfinite(lines[:, 0])]
-    way = np.column_stack([lines[:, 2:], np.ones(len(lines))])
-    way /= np.linalg.norm(way, axis=1)[:, None]
-    across = np.eye(3) - way[:, :, None] * way[:, None, :]
-    return np.linalg.solve(across.sum(axis=0), (across @ at_height(lines, 0.0)[:, :, None]).sum(axis=0)[:, 0])
+    planes = []
+    for column in lines:
+        known = column[np.isfinite(column[:, 0])]
+        points = np.concatenate([at_height(known, 0.0), at_height(known, _UP_MM)])
+        middle = points.mean(axis=0)
+        normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
+        normal = normal * (1.0 if normal[0] >= 0.0 else -1.0)
+        planes.append(np.append(normal, normal @ middle))
+    every = lines.reshape(-1, 4)
+    every = every[np.isfinite(every[:, 0])]
+    light_mm = nearest_point(at_height(every, 0.0), np.column_stack([every[:, 2:], np.ones(len(every))]))[0]
+    return View(image_size, camera_matrix(camera), pose, np.array(planes), camera[4:], light_mm)
 
 
 class PinholeDots(Triangulator[StageOptions]):
@@ -216,9 +205,8 @@ class PinholeDots(Triangulator[StageOptions]):
         stripe, row = np.nonzero(np.isfinite(stripes.x_px) & (dots.line >= 0))
         at = dots.line[stripe, row]
         xy_px = np.column_stack([stripes.x_px[stripe, row], dots.y_px[stripe, row]])
-        met = meet(
-            view, lines[stripe, at], xy_px, dots.covariance_px2[stripe, row], rays.covariance[stripe, at]
-        )
+        own = dots.covariance_px2[stripe, row]
+        met = meet(view, lines[stripe, at], xy_px, own, rays.covariance[stripe, at])
         shape = stripes.x_px.shape
         xyz_mm, height_std_mm = np.full((*shape, 3), np.nan), np.full(shape, np.nan)
         xyz_mm[stripe, row] = at_height(lines[stripe, at], met.z_mm)
@@ -349,13 +337,12 @@ def _eliminated(
     return step, covariance, -covariance @ follow
 
 
-def _judged(residual: Floats, points: DotPoints, used: Flags) -> tuple[Flags, float]:
+def _judged(residual: Floats, points: DotPoints, stated: Floats, used: Flags) -> tuple[Flags, float]:
     """Say which dots are not far off, and how much more they scatter than their covariance says."""
-    weight = np.linalg.inv(points.covariance_px2)
-    off = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", residual, weight, residual), 0.0))
+    off = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", residual, stated, residual), 0.0))
     known = used & np.isfinite(off)
     # the median of the length of a plane normal error is √(2 ln 2); four numbers of each ray are fitted
     free = max(1.0 - 2.0 * np.unique(points.ray[known]).size / max(known.sum(), 1), 0.1)
     factor = max(float(np.median(off[known])) / np.sqrt(2.0 * np.log(2.0) * free), 1.0)
-    length = np.hypot(residual[:, 0], residual[:, 1])
-    return known & ((off < _OFF_MAX * factor) | (length < _OFF_LEAST_PX)), factor
+    near = np.hypot(residual[:, 0], residual[:, 1]) < _OFF_LEAST_PX
+    return known & ((off < _OFF_MAX * factor) | near), factor

@@ -80,6 +80,11 @@ def target_views(joined: Joint, observed: CalibrationSet, calibration: Calibrati
         shown = board.laser or board.plain
         if shown is not None:
             turn, shift = geometry.rotation[number], geometry.shift[number] + moved * geometry.travel
+            border = np.empty((0, 3))  # or the four corners of the board's pattern, in the belt frame
+            if view is not None and joined.board is not None:
+                size = joined.board.pitch_mm * np.array([joined.board.columns, joined.board.rows, 0.0])
+                corners = size * [[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]] @ turn.T + shift
+                border = corners @ view.T_belt_camera[:3, :3].T + view.T_belt_camera[:3, 3]
             found.append(
                 TargetView(
                     name=board.name if board.laser is None else board.laser.frame.name,
@@ -88,9 +93,7 @@ def target_views(joined: Joint, observed: CalibrationSet, calibration: Calibrati
                     stripe=points.stripe[mine].astype(np.int64),
                     corners_px=board.marks.xy_px,
                     used=adjusted.corner_used[first : first + count],
-                    border_mm=_border(joined, view.T_belt_camera, turn, shift)
-                    if view is not None
-                    else np.empty((0, 3)),
+                    border_mm=border,
                 )
             )
         first += count
@@ -101,13 +104,3 @@ def target_views(joined: Joint, observed: CalibrationSet, calibration: Calibrati
             TargetView(belt.frame.name, belt.frame, peaks_px[mine], points.stripe[mine].astype(np.int64))
         )
     return tuple(found)
-
-
-def _border(joined: Joint, to_belt: Floats, turn: Floats, shift: Floats) -> Floats:
-    """Give the four corners of the board's pattern in the belt frame."""
-    board = joined.board
-    if board is None:
-        return np.empty((0, 3))
-    x, y = board.columns * board.pitch_mm, board.rows * board.pitch_mm
-    corners = np.array([[0.0, 0, 0], [x, 0, 0], [x, y, 0], [0, y, 0]]) @ turn.T + shift
-    return np.asarray(corners @ to_belt[:3, :3].T + to_belt[:3, 3])

@@ -30,10 +30,7 @@ COEFFICIENTS = 8
 
 
 class Distorted(NamedTuple):
-    """Distorted places (n, 2) on the plane at distance 1, and their derivatives.
-
-    `by_place` is (n, 2, 2), `by_coefficient` (n, 2, 8).
-    """
+    """Distorted places (n, 2) on the plane at distance 1, and derivatives (n, 2, 2) and (n, 2, 8)."""
 
     xy: Floats
     by_place: Floats
@@ -71,9 +68,9 @@ class Bend:
     """Heights of the print over the board's plane, away from the camera."""
 
     middle_mm: Floats
-    """(2,) where the powers are counted from, on the board."""
     reach_mm: float
-    """Length of which x and y are taken in the powers."""
+    """middle_mm, reach_mm: (2,) where the powers of x and y are counted from, on the board, and the length of
+    which they are taken."""
     coefficients_mm: Floats
     """(12,) of x², xy, y², x³, … y⁴."""
 
@@ -114,10 +111,7 @@ class Bend:
     def _powers(self, place_mm: Floats) -> Floats:
         """(2, 5, n) of x and of y, the powers 0 to 4."""
         from_middle = ((place_mm - self.middle_mm) / self.reach_mm).T
-        powers = np.ones((2, 5, len(place_mm)))
-        for power in range(1, 5):
-            np.multiply(powers[:, power - 1], from_middle, out=powers[:, power])
-        return powers
+        return np.cumprod([np.ones_like(from_middle), *[from_middle] * 4], axis=0).swapaxes(0, 1)
 
 
 CAMERA = 4 + COEFFICIENTS
@@ -189,7 +183,6 @@ class Unknowns:
 
     def moved(self, geometry: Geometry, step: Floats) -> Geometry:
         """Give the geometry after a step of the unknowns."""
-        turn = _part(step, self.poses[:, :3])
         bend = geometry.bend
         if bend is not None and self.bend.size:
             bend = bend.moved(_part(step, self.bend))
@@ -199,7 +192,7 @@ class Unknowns:
             planes=geometry.planes + _part(step, self.planes),
             belt=geometry.belt + _part(step, self.belt),
             travel=geometry.travel + _part(step, self.travel),
-            rotation=turned(turn) @ geometry.rotation,
+            rotation=turned(_part(step, self.poses[:, :3])) @ geometry.rotation,
             shift=geometry.shift + _part(step, self.poses[:, 3:]),
             bend=bend,
             prints=geometry.prints + _part(step, self.prints) if self.prints.size else geometry.prints,
@@ -277,9 +270,9 @@ class Corners:
     pose: Integers
     """(mark,) which pose of the board."""
     board_mm: Floats
-    """(mark, 3) place on the board, mm: x along its columns, y along its rows, z away from the camera."""
     xy_px: Floats
-    """(mark, 2) where it is seen, px."""
+    """board_mm, xy_px: (mark, 3) place on the board, mm: x along its columns, y along its rows, z away from
+    the camera; (mark, 2) where it is seen, px."""
     counts: Floats
     """(mark,) encoder counts the belt has carried the board on since the pose was defined."""
     board: Integers
@@ -291,14 +284,13 @@ class StripePoints:
     """Peaks of stripes on boards and on the belt."""
 
     pose: Integers
-    """(point,) which pose of the board, or `ON_BELT`."""
     stripe: Integers
-    """(point,) which plane of light."""
+    """pose, stripe: (point,) which pose of the board, or `ON_BELT`; which plane of light."""
     x_px: Floats
     row_px: Floats
-    """x_px, row_px: (point,) where the peak is, px."""
     std_px: Floats
-    """(point,) standard uncertainty of `x_px`, px, up to a common factor."""
+    """x_px, row_px, std_px: (point,) where the peak is, px, and its standard uncertainty along x, px, up to a
+    common factor."""
     counts: Floats
     """(point,) as for corners."""
     face: Floats | None = None
@@ -537,9 +529,9 @@ class Edges:
     wall: Floats
     """face, wall: (edge, 4) n and d with n·X = d, mm, in the solid's frame: two planes meet in the edge."""
     xy_px: Floats
-    """(edge, 2) where a point of the edge is seen, px."""
     std_px: Floats
-    """(edge,) its standard uncertainty across the edge, px."""
+    """xy_px, std_px: (edge, 2) where a point of the edge is seen, px; (edge,) its standard uncertainty across
+    the edge, px."""
 
 
 _NUMBERS, _WHOLE, _PAIRS = np.empty(0), np.empty(0, np.int64), np.empty((0, 2))

@@ -105,8 +105,14 @@ def first_camera(
         for _ in range(2):
             centred = [_without_shift(view, found, number) for number, view in enumerate(views)]
             found = replace(_solved(centred, image_size, lens, known), views=centred)
-    if known is None:
-        _check_variety(found)
+    normal = found.rotation[:, :, 2]
+    spread = float(np.degrees(np.arccos(np.clip((normal @ normal.T).min(), -1.0, 1.0))))
+    if known is None and spread < _TILT_SPREAD_MIN_DEG:
+        raise CalibrationError(
+            f"the poses have no variety: no two boards are tilted against each other by more than "
+            f"{spread:.1f}° ({_TILT_SPREAD_MIN_DEG:g}° is the least)",
+            hint="tilt the board by 20 to 30 degrees, another way in each pose",
+        )
     return found
 
 
@@ -178,17 +184,6 @@ def _rms(found: FirstCamera) -> Floats:
         xy = _projected(found, number, view.marks.board_mm)[0]
         rms.append(float(np.sqrt(((xy - view.marks.xy_px) ** 2).sum(axis=1).mean())))
     return np.array(rms)
-
-
-def _check_variety(found: FirstCamera) -> None:
-    normal = found.rotation[:, :, 2]
-    spread = float(np.degrees(np.arccos(np.clip((normal @ normal.T).min(), -1.0, 1.0))))
-    if spread < _TILT_SPREAD_MIN_DEG:
-        raise CalibrationError(
-            f"the poses have no variety: no two boards are tilted against each other by more than "
-            f"{spread:.1f}° ({_TILT_SPREAD_MIN_DEG:g}° is the least)",
-            hint="tilt the board by 20 to 30 degrees, another way in each pose",
-        )
 
 
 def reasons(left_out: dict[str, str]) -> str:

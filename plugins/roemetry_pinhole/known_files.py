@@ -30,8 +30,19 @@ def read_camera(path: Path) -> Floats:
     Raises DataError: there is no such file, or it holds no camera matrix, or a lens model this program does
     not know.
     """
-    if _is_calibration(path):
-        return _camera_of_calibration(path)
+    try:
+        with path.open(encoding="utf-8") as file:
+            head = list(itertools.islice(file, _HEAD_LINES))
+    except (OSError, UnicodeDecodeError):
+        head = []  # OpenCV says what is wrong with it
+    if any(line.startswith("roemetry_calibration") for line in head):
+        parameters = Calibration.load(path).parameters
+        if not {"focal_px", "principal_px", "distortion"} <= set(parameters):
+            raise DataError(
+                f"{path}: this calibration holds no pinhole camera",
+                hint="one of the calibrator pinhole-plane does, and so does a file of OpenCV's",
+            )
+        return camera_of(parameters)
     matrix, lens = _matrices(path, _MATRIX, _LENS)
     if matrix is None or matrix.shape != (3, 3):
         raise DataError(f"{path}: there is no 3 × 3 camera matrix here ({', '.join(_MATRIX)})")
@@ -49,26 +60,6 @@ def read_camera(path: Path) -> Floats:
     return camera
 
 
-def _is_calibration(path: Path) -> bool:
-    try:
-        with path.open(encoding="utf-8") as file:
-            return any(
-                line.startswith("roemetry_calibration") for line in itertools.islice(file, _HEAD_LINES)
-            )
-    except (OSError, UnicodeDecodeError):
-        return False
-
-
-def _camera_of_calibration(path: Path) -> Floats:
-    parameters = Calibration.load(path).parameters
-    if not {"focal_px", "principal_px", "distortion"} <= set(parameters):
-        raise DataError(
-            f"{path}: this calibration holds no pinhole camera",
-            hint="one of the calibrator pinhole-plane does, and so does a file of OpenCV's",
-        )
-    return camera_of(parameters)
-
-
 def plane_from(a: float, b: float, c: float, d: float, *, sign: int) -> Floats:
     """Give (3,) p·X = 1 from Ax + By + Cz + D = 0 (`sign` = 1) or Ax + By + Cz = D (`sign` = −1), mm.
 
@@ -84,17 +75,8 @@ def plane_from(a: float, b: float, c: float, d: float, *, sign: int) -> Floats:
 def read_planes(path: Path, *, sign: int = 1) -> Floats:
     """Give (stripe, 3) p·X = 1 from rows A, B, C, D named `planes` or `laser_planes`, camera frame, mm.
 
-    Parameters
-    ----------
-    path
-        YAML, JSON or XML as OpenCV writes it.
-    sign
-        1 where the rows mean Ax + By + Cz + D = 0, −1 where they mean Ax + By + Cz − D = 0.
-
-    Raises
-    ------
-    DataError
-        There are no such rows, or a plane goes through the camera's centre.
+    `sign` is 1 where the rows mean Ax + By + Cz + D = 0, −1 where they mean Ax + By + Cz − D = 0. Raises
+    DataError: there are no such rows, or a plane goes through the camera's centre.
     """
     (rows,) = _matrices(path, _PLANES)
     if rows is None or rows.ndim != 2 or rows.shape[1] != 4:

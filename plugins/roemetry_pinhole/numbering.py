@@ -106,9 +106,9 @@ class Numbered:
     planes: Floats
     """(stripe, 3) p·X = 1 of each plane, a first estimate, 1/mm."""
     left_out: dict[str, str]
-    """Poses that fit no numbering, with the reason."""
     moved: tuple[str, ...] = ()
-    """Those of them whose board or laser moved: nothing in their images is to be trusted."""
+    """left_out, moved: poses that fit no numbering, with the reason; those of them whose board or laser
+    moved: nothing in their images is to be trusted."""
 
 
 def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | None = None) -> Numbered:
@@ -263,21 +263,23 @@ def _votes(lines: list[Floats], base: int, other: int, tolerance: float) -> tupl
     """Give the planes (i, j, 3) through each line of one pose and each of another, and their votes (i, j)."""
     one, two = lines[base], lines[other]
     square = np.einsum("lei,lej->lij", one, one)[:, None] + np.einsum("lei,lej->lij", two, two)[None]
-    right = one.sum(axis=1)[:, None] + two.sum(axis=1)[None]
-    planes = np.full(right.shape, np.nan)
-    solvable = np.linalg.cond(square) < _CONDITION_MAX
-    planes[solvable] = np.linalg.solve(square[solvable], right[solvable][:, :, None])[:, :, 0]
+    planes = _solved(square, one.sum(axis=1)[:, None] + two.sum(axis=1)[None])
     off = np.maximum(_off_mm(one, planes, "iek,ijk->ije"), _off_mm(two, planes, "jek,ijk->ije"))
     votes = _OWN_VOTE * _vote(off, tolerance)
     likely = votes > 0.0
-    tried = planes[likely]
-    gathered = votes[likely]
     for pose in range(len(lines)):
         if pose not in (base, other) and len(lines[pose]):
-            nearest = _off_mm(lines[pose], tried, "lek,hk->hle").min(axis=1)
-            gathered = gathered + _vote(nearest, tolerance)
-    votes[likely] = gathered
+            nearest = _off_mm(lines[pose], planes[likely], "lek,hk->hle").min(axis=1)
+            votes[likely] += _vote(nearest, tolerance)
     return planes, votes
+
+
+def _solved(square: Floats, right: Floats) -> Floats:
+    """Give the planes (…, 3) of normal matrices (…, 3, 3); NaN where these are of one line."""
+    planes = np.full(right.shape, np.nan)
+    good = np.linalg.cond(square) < _CONDITION_MAX
+    planes[good] = np.linalg.solve(square[good], right[good][:, :, None])[:, :, 0]
+    return planes
 
 
 def _off_mm(ends: Floats, planes: Floats, axes: str) -> Floats:
@@ -294,13 +296,11 @@ def _vote(off_mm: Floats, tolerance: float) -> Floats:
 
 def _ordered_pairs(votes: Floats) -> tuple[float, Integers]:
     """Give the largest sum of votes (i, j) along a path on which both grow, and the (pair, 2) on it."""
-    rows, columns = votes.shape
-    total = np.zeros((rows + 1, columns + 1))
-    for i in range(rows):
-        row = np.maximum(total[i, 1:], total[i, :-1] + votes[i])
-        total[i + 1, 1:] = np.maximum.accumulate(row)
+    total = np.zeros(np.add(votes.shape, 1))
+    for i, row in enumerate(votes):
+        total[i + 1, 1:] = np.maximum.accumulate(np.maximum(total[i, 1:], total[i, :-1] + row))
     pairs = []
-    i, j = rows, columns
+    i, j = votes.shape
     while i and j:
         if total[i, j] == total[i - 1, j]:
             i -= 1
@@ -336,10 +336,7 @@ def _fitted(poses: Sequence[PoseLines], numbers: Sequence[Integers], count: int)
         np.add.at(square, at, np.einsum("lei,lej->lij", ends, ends))
         np.add.at(right, at, ends.sum(axis=1))
         seen[np.unique(at)] += 1
-    planes = np.full((count, 3), np.nan)
-    good = (seen >= 2) & (np.linalg.cond(square) < _CONDITION_MAX)
-    planes[good] = np.linalg.solve(square[good], right[good][:, :, None])[:, :, 0]
-    return planes
+    return np.where((seen >= 2)[:, None], _solved(square, right), np.nan)
 
 
 def _in_order(poses: list[PoseLines], planes: Floats, spacing: float) -> Floats:

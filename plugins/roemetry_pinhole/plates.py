@@ -403,25 +403,28 @@ def _start(boards: Geometry, lines: Floats, views: tuple[Observation, ...], plat
     pose = belt_pose(boards.belt)
     away = float(pose[2, 3])
     line = np.column_stack([np.ones(len(lines)), -lines[:, 1], -lines[:, 0]])
-    peaks = [_thinned(view.peaks) for view in views[:: max(1, len(views) // _TRIED_VIEWS)]]
-    tried: list[tuple[int, int, Geometry]] = []
+    some = [_thinned(view.peaks) for view in views[:: max(1, len(views) // _TRIED_VIEWS)]]
+
+    def seen(geometry: Geometry, images: list[Peaks]) -> tuple[int, float]:
+        """Give how many points lie on balls, and how far off, mm."""
+        parameters = parameters_of(geometry, travel=False)
+        found = [plates for one in images if (plates := find_plate(parameters, one, plate)) is not None]
+        off_mm = max((one.rms_mm for one in found), default=np.inf)
+        return sum(one.ball.size for one in found), off_mm
+
+    tried: list[tuple[int, Geometry]] = []
     for share in _HEIGHTS:
         for angle in np.radians([*-_ANGLES_DEG, *_ANGLES_DEG]):
             high = share * away
             at = pose[:3, :3].T @ (np.array([high * np.tan(angle), 0.0, high]) - pose[:3, 3])
             planes = boards.belt + line * ((1.0 - boards.belt @ at) / (line @ at))[:, None]
             geometry = replace(boards, planes=planes)
-            parameters = parameters_of(geometry, travel=False)
-            found = [find_plate(parameters, one, plate) for one in peaks]
-            on_balls = sum(one.ball.size for one in found if one is not None)
-            tried.append((-on_balls, len(tried), geometry))
-    fits: list[tuple[float, int, Geometry]] = []
-    for _, number, geometry in sorted(tried)[:_TRIED]:
-        found = [find_plate(parameters_of(geometry, travel=False), view.peaks, plate) for view in views]
-        points = sum(one.ball.size for one in found if one is not None)
-        off_mm = max((one.rms_mm for one in found if one is not None), default=np.inf)
-        fits.append((off_mm / max(points, 1), number, geometry))
-    return min(fits)[2]
+            tried.append((seen(geometry, some)[0], geometry))
+    fits = []
+    for _, geometry in sorted(tried, key=lambda one: -one[0])[:_TRIED]:
+        points, off_mm = seen(geometry, [view.peaks for view in views])
+        fits.append((off_mm / max(points, 1), geometry))
+    return min(fits, key=lambda one: one[0])[1]
 
 
 def _thinned(peaks: Peaks) -> Peaks:

@@ -92,23 +92,6 @@ def _misfit(poses: list[PoseLines]) -> float:
     )
 
 
-def compared(found: Adjusted, boards: Sequence[Board]) -> list[tuple[Board, float, float]]:
-    """Give each further board whose size was looked for: its size over what is described.
-
-    Beside it stands the relative standard uncertainty, by what was seen and by the board's own tolerance.
-    """
-    at = found.unknowns.prints
-    return [
-        (
-            board,
-            float(np.exp(found.geometry.prints[number, 0])),
-            float(np.hypot(np.sqrt(found.covariance[at[number, 0], at[number, 0]]), tolerance_of(board))),
-        )
-        for number, board in enumerate(boards)
-        if number < len(at) and at[number, 0] >= 0
-    ]
-
-
 def tolerance_of(board: Board) -> float:
     """Give the relative standard uncertainty of a board's lengths."""
     return float(board.tolerance_mm / np.sqrt(3.0) / board.size_mm.max())

@@ -29,7 +29,7 @@ from roemetry_pinhole.geometry import Bend
 from roemetry_pinhole.joint import Joint
 from roemetry_pinhole.pinhole_plane import by_parameter, flat, lines_at_height, parameters_of, points_of
 from roemetry_pinhole.plates import plate_scale
-from roemetry_pinhole.prints import compared, tolerance_of
+from roemetry_pinhole.prints import tolerance_of
 
 
 def of_lengths(joined: Joint, parameters: Mapping[str, Floats]) -> Floats:
@@ -291,11 +291,15 @@ def references(
         way = flat({**parts, "travel_mm_per_count": travel / size**2})
         what = "the belt's way per encoder count"
         found.append(Reference("encoder", "encoder_ratio", what, size / known_mm, std_mm / known_mm, way))
-    for board, ratio, std in [] if joined is None else compared(joined.adjusted, observed.boards):
-        key, what = f"board_{observed.boards.index(board) + 1}_ratio", f"the pitch of the board {board.name}"
-        found.append(
-            Reference(f"board {board.name}", key, what, ratio, float(np.hypot(std, board_std)), none)
-        )
+    if joined is not None:
+        at, adjusted = joined.adjusted.unknowns.prints, joined.adjusted
+        for number in np.flatnonzero(at[:, 0] >= 0) if at.size else ():
+            print_of = observed.boards[number]  # whose size was looked for
+            size = float(np.exp(adjusted.geometry.prints[number, 0]))
+            own = np.hypot(np.sqrt(adjusted.covariance[at[number, 0], at[number, 0]]), tolerance_of(print_of))
+            what = f"the pitch of the board {print_of.name}"
+            key, std = f"board_{number + 1}_ratio", float(np.hypot(own, board_std))
+            found.append(Reference(f"board {print_of.name}", key, what, size, std, none))
     return found, notes
 
 

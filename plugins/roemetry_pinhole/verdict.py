@@ -385,11 +385,8 @@ def _calibrated(measured: Measured, kept: Integers, found: Geometry) -> Geometry
 def stripe_offsets(geometry: Geometry, points: StripePoints) -> tuple[Floats, Floats, Integers]:
     """Say how far stripes are apart on one surface: a plane through all their points, each stripe's mean.
 
-    Returns
-    -------
-    offset_mm, at_px, surface
-        (n,) mean distance from the plane of a stripe's points on one surface, positive towards the camera;
-        (n, 2) where their middle is in the image; (n,) pose of the surface, −1 of the belt.
+    Gives (n,) mean distance from the plane of a stripe's points on one surface, mm, positive towards the
+    camera, (n, 2) where their middle is in the image, px, and (n,) pose of the surface, −1 of the belt.
     """
     offset, at, surface = [], [], []
     xyz = lifted(geometry, points)

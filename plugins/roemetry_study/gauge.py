@@ -74,23 +74,11 @@ class GaugeStudy:
 def gauge_study(
     table: StudyTable, *, tolerance: float = math.nan, nested: bool = False, method: str = "anova"
 ) -> GaugeStudy:
-    """Judge a gauge.
+    """Judge a gauge by readings that are numbers.
 
-    Parameters
-    ----------
-    table
-        Readings that are numbers.
-    tolerance
-        Width of the tolerance, upper less lower limit, in the value's unit; NaN: none.
-    nested
-        Whether each operator had parts of their own.
-    method
-        ``anova`` or ``average-range``.
-
-    Raises
-    ------
-    DataError
-        As `analyse` and `average_range`.
+    `tolerance` is its width, upper less lower limit, in the value's unit; NaN: none. `nested` says whether
+    each operator had parts of their own, `method` is ``anova`` or ``average-range``. Raises DataError as
+    `analyse` and `average_range`.
     """
     found = average_range(table) if method == "average-range" else analyse(table, nested=nested)
     std, total = found.std, found.std["total"]

@@ -12,10 +12,11 @@ import numpy as np
 
 from roemetry.errors import ConfigurationError, DataError
 from roemetry.html.plots import in_words
+from roemetry.io.files import sha256_of
 from roemetry.run.control_chart import BASELINE, limits_of, signals
 from roemetry.run.executors import Executor, Lost
 from roemetry.run.record import PROVENANCE, read_record
-from roemetry_study.certificate import Certificate, Table, hashed
+from roemetry_study.certificate import Certificate, Table
 from roemetry_study.table import StudyTable, estimate_of
 
 if TYPE_CHECKING:
@@ -159,7 +160,8 @@ def of_acceptance(file: AcceptanceFile, path: Path, executor: Executor) -> Certi
             raise ConfigurationError(f"{path}: artefacts: {part.images} names no image in {path.parent}")
         items[f"artefact {artefact.target.name}"] = part.certificate or "no certificate of its own"
         seen: dict[str, Path] = {}
-        for image, digest in zip(images, hashed(images).values(), strict=True):
+        for image in images:
+            digest = sha256_of(image)
             if seen.setdefault(digest, image) != image:
                 raise DataError(f"{image}: is a copy of {seen[digest].name}: a copy is no repetition")
             tasks.append((image, artefact))
@@ -412,7 +414,7 @@ def _items(table: StudyTable, by: str) -> dict[str, str]:
         path = Path(source)
         kept = path / PROVENANCE if path.is_dir() else path
         if kept.is_file():
-            items[f"file {source}"] = hashed([kept])[kept.name]
+            items[f"file {source}"] = sha256_of(kept)
     return items
 
 

@@ -207,15 +207,16 @@ def estimate_of(row: Measurement, value: str) -> tuple[Estimate | None, float]:
 
     DataError where the rows of a run hold no such value with an uncertainty.
     """
-    if value in ("visible_cm3", "true_cm3"):
-        if row.volume is None:
-            return None, 1e-3
-        return (row.volume.visible_mm3 if value == "visible_cm3" else row.volume.true_mm3), 1e-3
-    if value == "mass_g":
-        return (None if row.weight is None else row.weight.mass_g), 1.0
-    if value == "height_max_mm":
-        return row.height_max_mm, 1.0
-    raise DataError(f"`{value}`: expected one of {', '.join(RECORDED[:-1])}")
+    volume, weight = row.volume, row.weight
+    estimates = {
+        "visible_cm3": (None if volume is None else volume.visible_mm3, 1e-3),
+        "true_cm3": (None if volume is None else volume.true_mm3, 1e-3),
+        "mass_g": (None if weight is None else weight.mass_g, 1.0),
+        "height_max_mm": (row.height_max_mm, 1.0),
+    }
+    if value not in estimates:
+        raise DataError(f"`{value}`: expected one of {', '.join(estimates)}")
+    return estimates[value]
 
 
 def _rows(path: Path, needed: Sequence[str]) -> Iterator[tuple[str, dict[str, str]]]:

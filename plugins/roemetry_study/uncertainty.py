@@ -91,16 +91,9 @@ class Evaluation:
 def evaluate(
     model: Callable[..., Floats], inputs: Mapping[str, Input], seed: int, draws: int = DRAWS
 ) -> Evaluation:
-    """Evaluate a measurement model.
+    """Evaluate a measurement model of independent inputs, by so many draws of a Monte Carlo method as well.
 
-    Parameters
-    ----------
-    model
-        Of keyword arguments by the inputs' names, each (draw,); gives (draw,).
-    inputs
-        Independent of each other.
-    seed, draws
-        Of the Monte Carlo method.
+    The model takes keyword arguments by the inputs' names, each (draw,), and gives (draw,).
     """
     from scipy.stats import t
 
