@@ -485,7 +485,7 @@ def board_views(observed: CalibrationSet, seen: Seen) -> None:
             if found is None:
                 continue
             frame, marks = found
-            of_pose = {"board": board, "number": number, "pose": name, "on_belt": on_belt}
+            of_pose: dict[str, Any] = {"board": board, "number": number, "pose": name, "on_belt": on_belt}
             if laser is not None and plain is not None:
                 fault = _lit(plain, laser)
                 elsewhere = None if fault else _elsewhere(plain, laser, board, marks)

@@ -246,7 +246,7 @@ and 8."""
 _LAGS = 150
 """Points along a stripe over which residuals are tried for correlation; it ends at the first that is not
 significant."""
-_MAD_TO_STD = 1.4826
+MAD_TO_STD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 
@@ -403,7 +403,7 @@ _ALMOST_NOTHING = 1e6
 """Times less, so that stripes do not move the camera: marks alone count."""
 _REWEIGHT_ROUNDS = 6
 """Each round divides the weight by up to ten: a million in all."""
-_RAYLEIGH = 1.0 / (np.sqrt(np.log(2.0)) * _MAD_TO_STD)
+_RAYLEIGH = 1.0 / (np.sqrt(np.log(2.0)) * MAD_TO_STD)
 """The median of √((x² + y²)/2) of normal x and y is √(ln 2) of their standard deviation."""
 
 
@@ -435,7 +435,7 @@ _CORRELATED_MIN = 100
 
 def _spread(distance: Floats) -> float:
     """Standard deviation by the median; 1 where there is nothing."""
-    return _MAD_TO_STD * float(np.median(distance)) if distance.size else 1.0
+    return MAD_TO_STD * float(np.median(distance)) if distance.size else 1.0
 
 
 _Rows = TypeVar("_Rows", Corners, StripePoints, Feet)
@@ -551,7 +551,7 @@ def _shared_part(problem: Problem, geometry: Geometry, pose: int, shared: Intege
 def chosen(rows: _Rows, keep: Flags, poses: Integers | None = None) -> _Rows:
     """Give some of the rows; with `poses` (ascending) their poses numbered by the place in there."""
     given = {field.name: getattr(rows, field.name) for field in fields(rows)}
-    parts = {name: None if column is None else column[keep] for name, column in given.items()}
+    parts: dict[str, Any] = {name: None if column is None else column[keep] for name, column in given.items()}
     if poses is not None:
         pose = rows.pose[keep]
         parts["pose"] = np.where(pose == ON_BELT, ON_BELT, np.searchsorted(poses, pose))

@@ -151,11 +151,11 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
             in_belt_frame[0][on], at[on], in_belt_frame[1:], [one.xy_px for one in parts[1:]]
         )
         found = []
-        for one, mine in zip(parts, [at, *numbers], strict=True):
-            some = (mine[:, 0] >= 0) & one.even
+        for dots, mine in zip(parts, [at, *numbers], strict=True):
+            some = (mine[:, 0] >= 0) & dots.even
             ray = mine[some] @ np.array([self.options.lines, 1])
-            covariance = one.covariance_px2[some] + _ADDED_STD_PX**2 * np.eye(2)
-            found.append((np.full(ray.size, one.pose), ray, one.xy_px[some], covariance))
+            covariance = dots.covariance_px2[some] + _ADDED_STD_PX**2 * np.eye(2)
+            found.append((np.full(ray.size, dots.pose), ray, dots.xy_px[some], covariance))
         return DotPoints(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 

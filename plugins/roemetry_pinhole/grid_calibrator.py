@@ -91,9 +91,11 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
     columns = upright.image_size[1]
     turning = _turning(across.stripe_count, columns)
     back = turning[:, :-1]
-    one = _Found.of(flat(upright), upright.covariance, upright.stripe_count)
+    one = _Found.of(flat(upright.parameters), upright.covariance, upright.stripe_count)
     other = _Found.of(
-        back @ flat(across) + turning[:, -1], back @ across.covariance @ back.T, across.stripe_count
+        back @ flat(across.parameters) + turning[:, -1],
+        back @ across.covariance @ back.T,
+        across.stripe_count,
     )
     apart = one.shared - other.shared
     surely = _inverse(one.covariance + other.covariance)

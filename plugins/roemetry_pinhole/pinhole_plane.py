@@ -128,9 +128,10 @@ def by_parameter(calibration: Calibration, of: Callable[[Mapping[str, Floats]], 
         return of({name: part.reshape(array.shape) for (name, array), part in parts})
 
     found = np.zeros((std.size, *np.shape(of(known))))
-    for number in np.flatnonzero(std > 0):
-        step = 0.1 * std[number]
-        found[number] = (moved(number, step) - moved(number, -step)) / (0.2 * std[number])
+    for number in np.flatnonzero(std > 0).tolist():
+        step = 0.1 * float(std[number])
+        up, down = (moved(number, sign * step) for sign in (1.0, -1.0))
+        found[number] = (up - down) / (0.2 * std[number])
     return found
 
 

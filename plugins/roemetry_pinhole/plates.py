@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,13 +25,13 @@ from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, CalibrationSet, Observation, Peaks, SpherePlate
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
-from roemetry_pinhole.bundle import Measured
+from roemetry_pinhole.bundle import MAD_TO_STD, Measured
 from roemetry_pinhole.from_solids import OnSolids, resting
 from roemetry_pinhole.geometry import ON_BELT, Geometry, StripePoints, turned
 from roemetry_pinhole.pinhole_plane import belt_pose, by_parameter, parameters_of, points_of
 from roemetry_pinhole.solids import Shape, belt_lines, numbered
 
-_BELT_MM = 0.6
+BELT_MM = 0.6
 """A peak this near to the belt on any stripe may be belt, and is not used."""
 _CAP_RISE_MIN = 0.35
 """Points are used where the ball's surface rises by less than some 70°: further down it shades itself."""
@@ -55,7 +55,6 @@ _POINTS_MIN = 60
 _EXPLAINED_MIN = 0.15
 """Share of the peaks at the balls' heights that must lie on balls: in images with the plate's level and
 shadows it is 0.28 to 0.38, without them above 0.7."""
-_MAD_TO_STD = 1.4826  # of normal scatter
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -122,7 +121,7 @@ def find_plate(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePlat
     stripe, peak = (index.ravel() for index in np.indices((stripes, good.size)))
     x_px, row_px = peaks.x_px[good][peak], peaks.row[good][peak].astype(np.float64)
     at = points_of(parameters, stripe, x_px, row_px)
-    on_belt = np.asarray((np.abs(at[:, 2].reshape(stripes, -1)) < _BELT_MM).any(axis=0))
+    on_belt = np.asarray((np.abs(at[:, 2].reshape(stripes, -1)) < BELT_MM).any(axis=0))
     radius = 0.5 * plate.diameter_mm
     high = np.abs(at[:, 2] - plate.centre_height_mm - 0.6 * radius) < 0.7 * radius
     use = np.flatnonzero(high & ~on_belt[peak])
@@ -146,6 +145,11 @@ class _Near(NamedTuple):
     at_mm: Floats
     across: Floats
     """Way of each point for a pixel along the row, mm."""
+
+    def some(self, use: Integers) -> _Near:
+        """Give some of the points."""
+        parts: list[Any] = [column[use] for column in self]
+        return _Near(*parts)
 
 
 def off_balls(at_mm: Floats, ball: Integers, plate: SpherePlate, pose: Floats) -> tuple[Floats, Floats]:
@@ -226,9 +230,9 @@ def _fitted(near: _Near, plate: SpherePlate, pose: Floats) -> Plate | None:
         for _ in range(_STEPS):
             if use.size < _POINTS_MIN:
                 return None
-            found = _measured(_Near(*(column[use] for column in near)), ball[use], plate, pose)
+            found = _measured(near.some(use), ball[use], plate, pose)
             pose = pose + np.linalg.lstsq(found.slopes, -found.residual, rcond=None)[0]
-            limit = _STRAY_MADS * _MAD_TO_STD * float(np.median(np.abs(found.residual))) + 1e-6
+            limit = _STRAY_MADS * MAD_TO_STD * float(np.median(np.abs(found.residual))) + 1e-6
             use = use[np.abs(found.residual) < limit]
     return found
 

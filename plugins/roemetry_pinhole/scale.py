@@ -28,7 +28,7 @@ from roemetry_pinhole.from_solids import solids_in
 from roemetry_pinhole.geometry import Bend
 from roemetry_pinhole.joint import Joint
 from roemetry_pinhole.pinhole_plane import by_parameter, flat, lines_at_height, parameters_of, points_of
-from roemetry_pinhole.plates import plate_scale
+from roemetry_pinhole.plates import BELT_MM, plate_scale
 from roemetry_pinhole.prints import tolerance_of
 
 
@@ -138,8 +138,7 @@ def rescaled(joined: Joint, factor: float) -> Joint:
     found = joined.adjusted.geometry
     bend = found.bend
     if bend is not None:
-        grown = (factor * part for part in (bend.middle_mm, bend.reach_mm, bend.coefficients_mm))
-        bend = Bend(*grown)
+        bend = Bend(factor * bend.middle_mm, factor * bend.reach_mm, factor * bend.coefficients_mm)
     prints = found.prints + np.array([np.log(factor), 0.0])
     start = replace(
         found,
@@ -171,8 +170,6 @@ CONFLICT_STDS = 3.0
 """Standard uncertainties: two references of one scale differ by more once in 370."""
 _STEP_MM = 0.05
 """Cells of the histogram of heights, mm: below a peak's noise of some 0.1 mm."""
-_BELT_MM = 0.6
-"""A peak this near to the belt on any stripe may be belt, and is not used."""
 _POINTS_MIN = 60
 """Points near a level: fewer gather by chance, for every peak is taken for every stripe."""
 
@@ -262,8 +259,8 @@ def references(
         if not known:
             notes.append(f"the {name} was not found in its images: it checks nothing")
             continue
-        measured, std, height = (np.array(column) for column in zip(*known, strict=True))
-        weight = (np.hypot(std, solid.tolerance_mm / np.sqrt(3.0)) / height) ** -2
+        measured, stds, height = (np.array(column) for column in zip(*known, strict=True))
+        weight = (np.hypot(stds, solid.tolerance_mm / np.sqrt(3.0)) / height) ** -2
         ratio = float((weight * measured / height).sum() / weight.sum())
         way = _height_by_parameter(calibration, float(height.max()))
         key, what = f"{name}_height_ratio", f"the {name}'s height"
@@ -274,9 +271,9 @@ def references(
         if scale is None:
             notes.append("the sphere plate was not found in its images: it checks nothing")
         else:
-            what, *own, said = "the sphere plate's lengths", *scale
+            what, own = "the sphere plate's lengths", (scale.ratio, scale.own_std, scale.by_parameter)
             found.append(Reference("sphere plate", "sphere_plate_ratio", what, *own))
-            notes.append(said)
+            notes.append(scale.said)
     board, ruler = observed.board, observed.ruler
     if ruler is not None and board is not None and "pitch_mm" in calibration.target:
         # the pitch is no parameter: what peaks and marks are uncertain by does not change the print's size
@@ -296,9 +293,12 @@ def references(
         for number in np.flatnonzero(at[:, 0] >= 0) if at.size else ():
             print_of = observed.boards[number]  # whose size was looked for
             size = float(np.exp(adjusted.geometry.prints[number, 0]))
-            own = np.hypot(np.sqrt(adjusted.covariance[at[number, 0], at[number, 0]]), tolerance_of(print_of))
+            seen_std = np.sqrt(adjusted.covariance[at[number, 0], at[number, 0]])
             what = f"the pitch of the board {print_of.name}"
-            key, std = f"board_{number + 1}_ratio", float(np.hypot(own, board_std))
+            key, std = (
+                f"board_{number + 1}_ratio",
+                float(np.hypot(np.hypot(seen_std, tolerance_of(print_of)), board_std)),
+            )
             found.append(Reference(f"board {print_of.name}", key, what, size, std, none))
     return found, notes
 
@@ -314,7 +314,7 @@ def _height(calibration: Calibration, images: list[Peaks], height_mm: float) -> 
         row_px = peaks.row.astype(np.float64)
         at = points_of(calibration.parameters, stripe, peaks.x_px[peak], row_px[peak])
         z = at[:, 2].reshape(calibration.stripe_count, -1)
-        on_belt = (np.abs(z) < _BELT_MM).any(axis=0)
+        on_belt = (np.abs(z) < BELT_MM).any(axis=0)
         heights.append(z[:, ~on_belt].ravel())
     z = np.concatenate(heights)
     room = 0.08 * height_mm + 0.3

@@ -24,6 +24,7 @@ from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, Observation, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.boards import on_board, on_even_print
+from roemetry_pinhole.bundle import MAD_TO_STD
 from roemetry_pinhole.geometry import ON_BELT, StripePoints, rays
 from roemetry_pinhole.initial_intrinsics import FirstCamera, belt_under, reasons
 from roemetry_pinhole.numbering import PoseLines, number_stripes
@@ -184,8 +185,6 @@ in two million. Heights change by 1 to 1.5 µm at 3 and at 8."""
 _OFF_MAX_LEAST_PX = 0.5
 """Nearer than this a peak is never left out, px: on clean images the scatter is smaller than what bends a
 stripe. Heights change by 1 µm at most at 0.8 px."""
-_MAD_TO_STD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -322,9 +321,9 @@ class _OnBoard:
             room = np.abs(others).min(axis=0, initial=np.inf) * focal_px
             near = (nearest == stripe) & (off[stripe] < np.minimum(_SEARCH_PX, _SEARCH_SHARE * room))
             if near.sum() >= _PEAKS_MIN:
-                line = _fitted(chosen[near], self.xy, focal_px)
+                own = _fitted(chosen[near], self.xy, focal_px)
                 # of these, the ones near the line fitted to them
-                found.append((stripe, line.peak[line.off(self.xy[line.peak]) * focal_px < _NEAR_PX]))
+                found.append((stripe, own.peak[own.off(self.xy[own.peak]) * focal_px < _NEAR_PX]))
         return [(stripe, part) for stripe, part in found if part.size >= _PEAKS_MIN]
 
 
@@ -420,7 +419,7 @@ def _binned(
     for _ in range(3):
         curve = np.polynomial.polynomial.polyfit((row[keep] - middle) / half, x[keep], 3)
         off = np.abs(x - np.polynomial.polynomial.polyval((row - middle) / half, curve))
-        spread = _MAD_TO_STD * float(np.median(off[keep]))
+        spread = MAD_TO_STD * float(np.median(off[keep]))
         keep = off <= max(_OFF_MAX_MADS * spread, _OFF_MAX_LEAST_PX)
     row, x, std = row[keep], x[keep], std[keep]
     bin_of = np.unique(((row - row[0]) // step).astype(np.int64), return_inverse=True)[1]

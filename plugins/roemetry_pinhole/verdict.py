@@ -351,7 +351,8 @@ def cross_validate(measured: Measured, found: Geometry) -> CrossValidation:
             parts.append((*marks, _heights(geometry, board, points), at, points.pose, points.stripe))
     none, both, whole = np.empty(0), np.empty((0, 2)), np.empty(0, np.int64)
     columns = zip((both, both, whole, none, both, whole, whole), *parts, strict=True)
-    return CrossValidation(*(np.concatenate(column) for column in columns), skipped)
+    joined: list[Any] = [np.concatenate(column) for column in columns]
+    return CrossValidation(*joined, skipped)
 
 
 def lifted(geometry: Geometry, points: StripePoints) -> Floats:

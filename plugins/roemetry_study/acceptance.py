@@ -262,7 +262,8 @@ def _grid_in(points: Floats, plate: SpherePlate) -> dict[tuple[int, int], Floats
     best = math.inf
 
     def turned(by: float) -> Floats:
-        return grid @ np.array([[math.cos(by), math.sin(by)], [-math.sin(by), math.cos(by)]])
+        turn = np.array([[math.cos(by), math.sin(by)], [-math.sin(by), math.cos(by)]])
+        return np.asarray(grid @ turn)
 
     for capped in (0.4, 0.2, _NEAR_SHARE, _NEAR_SHARE):  # coarse places are farther from the best one
         offsets = np.arange(-reach, reach + 0.5 * step, step)

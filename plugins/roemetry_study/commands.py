@@ -25,7 +25,7 @@ study = typer.Typer(
 )
 
 
-def _option(name: str, words: str, **more: float) -> Any:
+def _option(name: str, words: str, **more: Any) -> Any:
     return typer.Option(name, help=words, **more)
 
 

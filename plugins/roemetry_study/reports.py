@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from roemetry.calibrating.known_products import read_table as read_csv
 from roemetry.errors import ConfigurationError, DataError
 from roemetry.html.plots import in_words
 from roemetry.io.files import sha256_of
@@ -125,20 +126,15 @@ def of_classes(table: StudyTable, good: str) -> Certificate:
     )
 
 
-class _Measures:
-    """Measures artefacts by a recipe, an image at a time."""
+def _measured(recipe: Recipe, task: tuple[Path, Artefact]) -> list[Value]:
+    """Measure an artefact in one image by a recipe."""
+    from roemetry.calibrating.block_check import profiles_of
+    from roemetry_study.acceptance import measure
 
-    def __init__(self, recipe: Recipe) -> None:
-        self._recipe = recipe
-
-    def __call__(self, task: tuple[Path, Artefact]) -> list[Value]:
-        from roemetry.calibrating.block_check import profiles_of
-        from roemetry_study.acceptance import measure
-
-        image, artefact = task
-        profiles, light = profiles_of(self._recipe, image)
-        view = None if self._recipe.calibration is None else self._recipe.calibration.view
-        return list(measure(profiles, artefact, view, light))
+    image, artefact = task
+    profiles, light = profiles_of(recipe, image)
+    view = None if recipe.calibration is None else recipe.calibration.view
+    return list(measure(profiles, artefact, view, light))
 
 
 def of_acceptance(file: AcceptanceFile, path: Path, executor: Executor) -> Certificate:
@@ -168,7 +164,7 @@ def of_acceptance(file: AcceptanceFile, path: Path, executor: Executor) -> Certi
             items[f"image {image.name}"] = digest
     values: list[Value] = []
     rows: list[tuple[str | float, ...]] = []
-    for (image, _), found in zip(tasks, executor.in_order(_Measures, (recipe,), tasks), strict=True):
+    for (image, _), found in zip(tasks, executor.in_order(partial, (_measured, recipe), tasks), strict=True):
         if isinstance(found, Lost):
             raise DataError(f"{image}: {found.why}")
         values += found
@@ -420,12 +416,8 @@ def _items(table: StudyTable, by: str) -> dict[str, str]:
 
 def _references(path: Path) -> dict[str, tuple[float, float]]:
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.DictReader(file))
-            return {row["id"]: (float(row["value"]), float(row["std"])) for row in rows}
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (KeyError, ValueError, TypeError, csv.Error) as error:
+        return {row["id"]: (float(row["value"]), float(row["std"])) for _, row in read_csv(path)[1]}
+    except (KeyError, ValueError, TypeError) as error:
         raise DataError(
             f"{path}: expected a table of id, value and std, numbers in every line: {error}"
         ) from error

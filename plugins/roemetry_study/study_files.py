@@ -6,7 +6,7 @@ import ast
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -24,7 +24,6 @@ from roemetry.config.target_file import (
 from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError
 from roemetry.io.yaml_source import read
-from roemetry.records import Block, SpherePlate, Staircase
 from roemetry.records.arrays import Floats
 from roemetry_study.acceptance import Artefact
 from roemetry_study.uncertainty import Input
@@ -121,7 +120,7 @@ def read_model(path: Path) -> tuple[ModelFile, Callable[..., Floats]]:
 def artefact_of(path: Path, std_mm: float) -> Artefact:
     """Read an artefact's description; ConfigurationError where it is at fault or of a kind without a test."""
     described = read_target(path)
-    readers: dict[type, Callable[..., SpherePlate | Block | Staircase]] = {
+    readers: dict[type, Callable[..., Any]] = {
         SpherePlateFile: read_sphere_plate,
         BlockFile: read_block,
         StaircaseFile: read_staircase,
