@@ -99,8 +99,10 @@ def _matrices(path: Path, *wanted: tuple[str, ...]) -> list[Floats | None]:
     if not storage.isOpened():
         raise DataError(f"{path}: the file cannot be read, or OpenCV did not write it")
     try:
-        found = [[storage.getNode(name).mat() for name in names] for names in wanted]
+        found = [
+            next((one for name in names if (one := storage.getNode(name).mat()) is not None), None)
+            for names in wanted
+        ]
     finally:
         storage.release()
-    given = [[np.asarray(one, np.float64) for one in those if one is not None] for those in found]
-    return [those[0] if those else None for those in given]
+    return [None if one is None else np.asarray(one, np.float64) for one in found]

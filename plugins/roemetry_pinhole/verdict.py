@@ -352,7 +352,7 @@ def cross_validate(measured: Measured, found: Geometry) -> CrossValidation:
     none, both, whole = np.empty(0), np.empty((0, 2)), np.empty(0, np.int64)
     columns = zip((both, both, whole, none, both, whole, whole), *parts, strict=True)
     joined: list[Any] = [np.concatenate(column) for column in columns]
-    return CrossValidation(*joined, skipped)
+    return CrossValidation(*joined, skipped=skipped)
 
 
 def lifted(geometry: Geometry, points: StripePoints) -> Floats:
