@@ -166,9 +166,8 @@ class Numbered:
     """Peaks of one image whose stripe is known."""
 
     name: str
-    """Of the image."""
     stripe: Integers
-    """(peak,) stripe."""
+    """name, stripe: of the image; (peak,)."""
     x_px: Floats
     row_px: Floats
     std_px: Floats

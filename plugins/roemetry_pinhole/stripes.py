@@ -198,10 +198,9 @@ class Gathered:
     belt: Floats | None
     """(3,) a first estimate of the belt from the empty belt's images; None without any."""
     print_share: float
-    """Share of the boards' peaks that is not used because the print under the stripe is uneven: a line seems
-    shifted towards the lighter side of an edge (Curless and Levoy 1995)."""
     stray_share: float
-    """Share of the others that is not used because it is far off its stripe."""
+    """print_share, stray_share: share of the boards' peaks that is not used because the print under the
+    stripe is uneven, and of the others because it is far off its stripe."""
     sizes: Floats
     """(board,) a first estimate of how much larger each print is than described."""
     strange: tuple[int, ...] = ()
