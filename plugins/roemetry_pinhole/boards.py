@@ -27,14 +27,10 @@ _BLURRED_PX = 8.0
 """Width of the sharpest edges, px: with more, corners are found off their place or not at all."""
 _DICTIONARIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
 """Tried to tell which board is shown instead of the described one."""
-_ENLARGED = 4
-"""Times, for markers that are too small for the detector (6 px and less)."""
-_MARKERS_MIN = 4
-"""Markers in the enlarged image: fewer are found by chance in print and texture."""
-_SQUARES_MIN = 25
-"""Squares in it: a tiny board shows dozens, a room few."""
-_SQUARE_MAX_PX = 12.0
-"""Width of a square, px: wider ones would have been read as markers."""
+_ENLARGED = 4  # times, for markers that are too small for the detector (6 px and less)
+_MARKERS_MIN = 4  # markers in the enlarged image: fewer are found by chance in print and texture
+_SQUARES_MIN = 25  # squares in it: a tiny board shows dozens, a room few
+_SQUARE_MAX_PX = 12.0  # width of a square, px: wider ones would have been read as markers
 
 
 NEARER = "hold it nearer, or take a larger one"
@@ -213,8 +209,7 @@ _CHARUCO_SPAN_MIN = 0.3
 _FIT_SHARE_MAX = 0.12
 """Of the distance of marks, for their median distance from a homography: a strong lens bends by 0.05, another
 board by 0.3 and more."""
-_CIRCLE_AREA_MIN_PX = 12.0
-"""Area of a circle, px²: below it, its centre is known to no better than 0.1 px."""
+_CIRCLE_AREA_MIN_PX = 12.0  # area of a circle, px²: below it, its centre is known to no better than 0.1 px
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -433,8 +428,7 @@ _LIT_GREY = 0.06
 _UNEVEN_NOISE = 0.02
 """Of white: differences of grey that noise alone makes within a stripe's width. Heights change by 0.4 µm at
 0.012 and at 0.032."""
-_LIT_SHARE_MIN = 2e-4
-"""Of the image: one stripe of 2 px along a tenth of the rows is as much."""
+_LIT_SHARE_MIN = 2e-4  # of the image: one stripe of 2 px along a tenth of the rows is as much
 _OTHER_LIGHT_SHARE = 0.25
 """Of the image: where more is darker, the two were taken in different light and cannot be compared."""
 

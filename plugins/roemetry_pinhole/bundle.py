@@ -59,10 +59,8 @@ STD_MIN_PX = 2e-3
 _HUBER = 2.0
 """Standard deviations where Huber's loss becomes linear: 95 % efficient at 1.35, 98 % at 2. It gives a start
 only; heights change by 0.01 µm at 1.2 and 3.2."""
-_ROUNDS_MAX = 60
-"""Steps; where these do not do, there is no minimum near the start."""
-_DAMPING_MAX = 1e6
-"""No step is found beyond: the minimum is reached to rounding."""
+_ROUNDS_MAX = 60  # steps; where these do not do, there is no minimum near the start
+_DAMPING_MAX = 1e6  # no step is found beyond: the minimum is reached to rounding
 
 
 @dataclass(eq=False, slots=True)
@@ -368,8 +366,7 @@ def _by_surface(problem: Problem, geometry: Geometry) -> StripePoints:
     return replace(points, std_px=np.where(belt, factor, 1.0) * points.std_px)
 
 
-_SURFACE_POINTS_MIN = 50
-"""Of fewer points the spread is uncertain by more than a tenth."""
+_SURFACE_POINTS_MIN = 50  # of fewer points the spread is uncertain by more than a tenth
 _SURFACE_FACTOR_MIN = 1.2
 """Less is within what the spread of correlated residuals tells, and changes weights by less than a half."""
 
@@ -399,10 +396,8 @@ def _reweight_stripes(problem: Problem, geometry: Geometry) -> tuple[Geometry, f
     return geometry, conflict
 
 
-_ALMOST_NOTHING = 1e6
-"""Times less, so that stripes do not move the camera: marks alone count."""
-_REWEIGHT_ROUNDS = 6
-"""Each round divides the weight by up to ten: a million in all."""
+_ALMOST_NOTHING = 1e6  # times less, so that stripes do not move the camera: marks alone count
+_REWEIGHT_ROUNDS = 6  # each round divides the weight by up to ten: a million in all
 _RAYLEIGH = 1.0 / (np.sqrt(np.log(2.0)) * MAD_TO_STD)
 """The median of √((x² + y²)/2) of normal x and y is √(ln 2) of their standard deviation."""
 
@@ -429,8 +424,7 @@ def _correlation(off: Floats, points: StripePoints, weights: Weights) -> float:
     return factor
 
 
-_CORRELATED_MIN = 100
-"""Points, or pairs of them, from which a correlation is known to a tenth."""
+_CORRELATED_MIN = 100  # points, or pairs of them, from which a correlation is known to a tenth
 
 
 def _spread(distance: Floats) -> float:

@@ -287,8 +287,7 @@ def _described(joined: Joint) -> dict[str, object]:
     return said
 
 
-_GRAZING = 0.05
-"""Cosine between gravity and a sight: nearer to level sights, heights would hardly be seen."""
+_GRAZING = 0.05  # cosine between gravity and a sight: nearer to level sights, heights would hardly be seen
 
 
 def levelled(adjusted: Adjusted, middle_mm: Floats, gravity: Floats, std_deg: float) -> Adjusted:

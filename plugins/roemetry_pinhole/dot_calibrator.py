@@ -24,12 +24,10 @@ from roemetry_pinhole.initial_intrinsics import FirstCamera, belt_under, by_mark
 from roemetry_pinhole.known_files import read_camera
 from roemetry_pinhole.pinhole_plane import belt_pose
 
-_ADDED_STD_PX = 0.02
-"""Of every dot, beside its stated error: print and paper are not quite even."""
+_ADDED_STD_PX = 0.02  # of every dot, beside its stated error: print and paper are not quite even
 _FACTOR_MAX = 6.0
 """Times its stated error, that a dot scatters at most: a bent board or a moved projector make it more."""
-_MISSING_MAX = 0.2
-"""Share of rays that may be seen on too few boards."""
+_MISSING_MAX = 0.2  # share of rays that may be seen on too few boards
 _REST_DEGREE = 3
 """Of the polynomial along the rows that a column of dots on the belt gets: it bends as lenses bend lines."""
 

@@ -22,20 +22,14 @@ import numpy as np
 from roemetry.errors import CalibrationError
 from roemetry.records.arrays import Floats, Integers
 
-_NEAR = 0.3
-"""Of the step to a neighbour: what lies so near to where it is expected is that neighbour."""
-_FULL = 0.97
-"""Share of the matrix that must be seen on the empty belt."""
+_NEAR = 0.3  # of the step to a neighbour: what lies so near to where it is expected is that neighbour
+_FULL = 0.97  # share of the matrix that must be seen on the empty belt
 _ON_DOT = 0.15
 """Of the spacing: a dot that lies so near to one of the belt, seen from the projector, is the same."""
-_FITS = 0.6
-"""Share of the boards' dots that must lie on dots of the belt: half lie there by chance at 0.35."""
-_OTHER = 0.85
-"""Of the best point's share, that another point may have at most."""
-_PAIRS_MIN = 20
-"""Dots of a board by which an offset is tried."""
-_MEET_MM = 1.0
-"""Lines that pass their common point by more than this do not meet."""
+_FITS = 0.6  # share of the boards' dots that must lie on dots of the belt: half lie there by chance at 0.35
+_OTHER = 0.85  # of the best point's share, that another point may have at most
+_PAIRS_MIN = 20  # dots of a board by which an offset is tried
+_MEET_MM = 1.0  # lines that pass their common point by more than this do not meet
 _OTHER_NUMBERS = 0.1
 """Share of the dots that another point numbers otherwise, from which on it is another numbering."""
 

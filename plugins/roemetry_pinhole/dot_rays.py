@@ -35,18 +35,12 @@ from roemetry_pinhole.geometry import rays as sight
 from roemetry_pinhole.pinhole_plane import belt_pose, camera_matrix, camera_of, check_size, flat
 
 METHOD = "pinhole-dots"
-_ROUNDS = 3
-"""Gauss–Newton steps: the marks' adjustment is the start, and near."""
-_OFF_MAX = 5.0
-"""Standard deviations beyond which a dot is left out: print under it, or another dot's light."""
-_OFF_LEAST_PX = 0.3
-"""Nearer than this a dot is never left out, px."""
-_SURFACES_MIN = 3
-"""Surfaces that a ray is seen on: two determine it, a third shows whether they agree."""
-_SHARED = 6
-"""Directions in which rays err together beside camera and belt."""
-_UP_MM = 30.0
-"""Height at which a slope's error is compared with a place's, mm: half of what is measured."""
+_ROUNDS = 3  # Gauss–Newton steps: the marks' adjustment is the start, and near
+_OFF_MAX = 5.0  # standard deviations beyond which a dot is left out: print under it, or another dot's light
+_OFF_LEAST_PX = 0.3  # nearer than this a dot is never left out, px
+_SURFACES_MIN = 3  # surfaces that a ray is seen on: two determine it, a third shows whether they agree
+_SHARED = 6  # directions in which rays err together beside camera and belt
+_UP_MM = 30.0  # height at which a slope's error is compared with a place's, mm: half of what is measured
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -261,8 +255,7 @@ def _predicted(geometry: Geometry, lines: Floats, points: DotPoints) -> Floats:
     return np.asarray(bent * geometry.camera[:2] + geometry.camera[2:4])
 
 
-_RAY_STEPS = np.diag([1e-3, 1e-3, 1e-5, 1e-5])
-"""Steps of a ray's numbers for derivatives: all some 0.003 px."""
+_RAY_STEPS = np.diag([1e-3, 1e-3, 1e-5, 1e-5])  # steps of a ray's numbers for derivatives: all some 0.003 px
 
 
 def _by_ray(geometry: Geometry, lines: Floats, points: DotPoints) -> tuple[Floats, Floats]:

@@ -40,10 +40,8 @@ from roemetry_pinhole.solids import (
 
 _GAP_ROWS_MAX = 3.0
 """Rows between a face's last peak and the next one: over a wider gap the edge may be anywhere."""
-_ON_FACE_MIN = 4
-"""Peaks of a stripe on a face before its end is taken for an edge."""
-_RIM_SHARE = 0.1
-"""Of the solid's extent: within it of a rim, the surface on either side of it counts."""
+_ON_FACE_MIN = 4  # peaks of a stripe on a face before its end is taken for an edge
+_RIM_SHARE = 0.1  # of the solid's extent: within it of a rim, the surface on either side of it counts
 _EDGE_PX = 0.6
 """Standard uncertainty of an edge between two rows, px: rectangular over a row, chamfer and blur as much
 again."""
@@ -229,10 +227,8 @@ _ROUNDS = (
 extents; how many points."""
 _RIGHTED_FROM = 3
 """Stripes that change places at a rim are told apart only by a geometry that is nearly right."""
-_LIES_STD_MM = 0.01
-"""How well a machined solid lies on the belt, mm."""
-_SURFACE_POINTS_MIN = 12
-"""Points of a stripe on a surface: two such surfaces determine its plane."""
+_LIES_STD_MM = 0.01  # how well a machined solid lies on the belt, mm
+_SURFACE_POINTS_MIN = 12  # points of a stripe on a surface: two such surfaces determine its plane
 _HEIGHT_RELATIVE_MAX = 0.05
 """Of the camera's distance, for the belt's place: with more, the scale itself is open by as much."""
 

@@ -256,8 +256,7 @@ def _part(step: Floats, at: Integers) -> Floats:
     return np.where(at >= 0, step[np.maximum(at, 0)], 0.0)
 
 
-_BENT_ROUNDS = 3
-"""Of meeting a ray with a bent board: each divides the error by the bend's slope, some 0.01."""
+_BENT_ROUNDS = 3  # of meeting a ray with a bent board: each divides the error by the bend's slope, some 0.01
 
 ON_BELT = -1
 """Pose of stripe points that lie on the bare belt."""

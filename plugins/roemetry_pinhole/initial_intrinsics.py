@@ -24,10 +24,8 @@ from roemetry_pinhole.bundle import Measured
 from roemetry_pinhole.geometry import CAMERA, Bend, Corners, Feet, Geometry, distort, unknowns_of
 from roemetry_pinhole.pinhole_plane import camera_matrix
 
-_POSES_MIN = 4
-"""Poses of an unknown camera: Zhang's method needs three, a fourth shows which one is wrong."""
-_POSES_MIN_KNOWN = 2
-"""Poses of a known camera: two lines determine each plane of light."""
+_POSES_MIN = 4  # poses of an unknown camera: Zhang's method needs three, a fourth shows which one is wrong
+_POSES_MIN_KNOWN = 2  # poses of a known camera: two lines determine each plane of light
 _TILT_SPREAD_MIN_DEG = 8.0
 """Largest angle between two boards: parallel boards leave focal length and distance undecided (Zhang
 2000)."""

@@ -219,8 +219,7 @@ def joint(
     )
 
 
-_PARTS = 8
-"""Parts of the images, of which each is left out once: their spread is known to a quarter."""
+_PARTS = 8  # parts of the images, of which each is left out once: their spread is known to a quarter
 
 
 def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:

@@ -48,31 +48,24 @@ what is left all poses are paired, for a stripe at the rim may lie on two or thr
 _OWN_VOTE = 0.1
 """What the two lines that a plane goes through count for it, where a line of a third board counts 1: any two
 lines nearly lie in a plane. Above 0, for a stripe may lie on two boards alone."""
-_ROUNDS = 5
-"""Rounds of taking lines and fitting planes; the third changes nothing any more."""
-_CONDITION_MAX = 1e12
-"""Of the normal matrix of a plane: beyond, its lines are one line."""
-_APART_SHARE = 0.4
-"""Of the spacing: two planes nearer than this over the boards are one stripe, found twice."""
+_ROUNDS = 5  # rounds of taking lines and fitting planes; the third changes nothing any more
+_CONDITION_MAX = 1e12  # of the normal matrix of a plane: beyond, its lines are one line
+_APART_SHARE = 0.4  # of the spacing: two planes nearer than this over the boards are one stripe, found twice
 _SHOWN_SHARE_MIN = 0.5
 """A plane must have a line in this share of the poses that show stripes on both sides of it. Two lines on two
 boards always nearly lie in one plane, so false lines make planes by chance, in 2 of 10 poses, rarely 3."""
-_SHOWN_MIN = 4
-"""Or in so many poses: a faint stripe may be found on a few boards alone."""
+_SHOWN_MIN = 4  # or in so many poses: a faint stripe may be found on a few boards alone
 _WEAK_SHARE = 0.5
 """Of the weakest accepted plane's peaks: surplus planes with fewer than this are reflections."""
-_POSE_SHARE_MIN = 0.5
-"""Of a pose's peaks: if fewer lie on planes, its lines fit the others' by chance only."""
+_POSE_SHARE_MIN = 0.5  # of a pose's peaks: if fewer lie on planes, its lines fit the others' by chance only
 _OUTLYING_FACTOR = 8.0
 """Times the usual distance of a pose's lines from the planes of all others: moved or mirrored."""
-_OUTLYING_LEAST = 1e-3
-"""Of the distance from the camera: what is nearer than this is never called moved."""
+_OUTLYING_LEAST = 1e-3  # of the distance from the camera: what is nearer than this is never called moved
 _CONTRADICTING_SHARE = 0.4
 """Of the poses: where more lie off the planes of the others, nobody can say which are right."""
 _CONTRADICTING_MIN = 2
 """One pose that moved among three or four is named by the others; two are as good as they."""
-_OUTLYING_POSES_MIN = 4
-"""Of fewer poses nobody could say which is wrong."""
+_OUTLYING_POSES_MIN = 4  # of fewer poses nobody could say which is wrong
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -160,10 +153,8 @@ _HIDDEN = (
     "hardly a line is seen on even print, and it lies on no plane of the other poses: are the stripes faint, "
     "or as wide as the board's squares? Tilt the board less"
 )
-_FEW = 2
-"""Lines of a pose from which nothing can be told of the pose itself."""
-_FEW_SHARE = 0.1
-"""Of the usual pose's peaks: fewer are scraps too short to say where their lines run."""
+_FEW = 2  # lines of a pose from which nothing can be told of the pose itself
+_FEW_SHARE = 0.1  # of the usual pose's peaks: fewer are scraps too short to say where their lines run
 
 
 def planes_of(poses: list[PoseLines], *, belt_shows_all: bool) -> tuple[Floats, list[Integers]]:

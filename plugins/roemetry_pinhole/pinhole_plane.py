@@ -30,18 +30,14 @@ from roemetry_pinhole.geometry import ON_BELT, Geometry, StripePoints, Unknowns,
 
 METHOD = "pinhole-plane"
 
-_FAN_RMS_MAX_MM = 5.0
-"""Planes that pass a common point by more than this come from no one projector, mm."""
-_REST_DEGREE_MAX = 7
-"""Of the polynomial of a rest line: higher ones swing between their supports."""
+_FAN_RMS_MAX_MM = 5.0  # planes that pass a common point by more than this come from no one projector, mm
+_REST_DEGREE_MAX = 7  # of the polynomial of a rest line: higher ones swing between their supports
 _REST_OFF_MAX_PX = 0.002
 """The lowest degree that stays this near to the exact line is taken: a tenth of the best peak's noise."""
-_REST_ROUNDS = 30
-"""Newton steps to a rest line; a place that needs more is none."""
+_REST_ROUNDS = 30  # Newton steps to a rest line; a place that needs more is none
 _PLANES_STD_MM = 0.05
 """How far planes that were calibrated pass their common point, as weighed against the next number."""
-_PROJECTOR_Y_STD_MM = 20.0
-"""How far a projector stands beside the camera's own plane, as rigs are built."""
+_PROJECTOR_Y_STD_MM = 20.0  # how far a projector stands beside the camera's own plane, as rigs are built
 
 
 def belt_pose(belt: Floats) -> Floats:
@@ -305,8 +301,7 @@ class PinholePlane(Triangulator[StageOptions]):
 
 _MOTION_STEPS = (1e-2, 1e-5, 1e-5, 1e-5)
 """Steps of numerical derivatives for shift (px), roll (rad), zoom and tilt (rad): all some 0.01 px."""
-_PLANE_STEP = 1e-5
-"""The same of a plane's share: some 0.01 px."""
+_PLANE_STEP = 1e-5  # the same of a plane's share: some 0.01 px
 
 
 def _turned(parameters: Mapping[str, Floats], motion: Floats) -> dict[str, Floats]:
@@ -321,8 +316,7 @@ def _turned(parameters: Mapping[str, Floats], motion: Floats) -> dict[str, Float
     return {**parameters, "focal_px": focal * (1.0 + zoom), "planes_per_mm": planes, **ways}
 
 
-_WAYS = ("belt_per_mm", "travel_mm_per_count")
-"""Parameters (3,) that turn with the camera."""
+_WAYS = ("belt_per_mm", "travel_mm_per_count")  # parameters (3,) that turn with the camera
 
 
 def _shifts_per_px(parameters: Mapping[str, Floats], image_size: tuple[int, int]) -> Floats:

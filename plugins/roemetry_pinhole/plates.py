@@ -37,21 +37,16 @@ _CAP_RISE_MIN = 0.35
 """Points are used where the ball's surface rises by less than some 70°: further down it shades itself."""
 _WAYS = 72
 """Directions in which a point votes for its ball's centre: 5°, a cell of the votes at a ball's radius."""
-_ANCHORS = 8
-"""Highest votes that are tried as a ball: some are shadows."""
+_ANCHORS = 8  # highest votes that are tried as a ball: some are shadows
 _YAWS_DEG = np.arange(-45.0, 46.0, 1.0)
 _ROUNDS = (0.20, 0.12, 0.08, 0.05, 0.05, 0.05)
 """Of each round, how far off a ball its points may be, in radii."""
-_STEPS = 4
-"""Gauss–Newton steps of a round; the points are chosen anew after them."""
-_STRAY_MADS = 4.5
-"""Standard deviations beyond which a point is left out: one normal error in 150,000."""
+_STEPS = 4  # Gauss–Newton steps of a round; the points are chosen anew after them
+_STRAY_MADS = 4.5  # standard deviations beyond which a point is left out: one normal error in 150,000
 _ALONG_SHARE = 0.2
 """Of the median way across a ball for a pixel: points seen along the surface count as if they had so much."""
-_BALL_POINTS_MIN = 12
-"""Points on a ball: fewer lie there by chance."""
-_POINTS_MIN = 60
-"""Points on all balls, for four unknowns and their scatter."""
+_BALL_POINTS_MIN = 12  # points on a ball: fewer lie there by chance
+_POINTS_MIN = 60  # points on all balls, for four unknowns and their scatter
 _EXPLAINED_MIN = 0.15
 """Share of the peaks at the balls' heights that must lie on balls: in images with the plate's level and
 shadows it is 0.28 to 0.38, without them above 0.7."""
@@ -318,23 +313,16 @@ def _longer(plate: SpherePlate, more_mm: float) -> list[SpherePlate]:
     return [replace(plate, **{name: getattr(plate, name) + more_mm}) for name in names]
 
 
-_STEP_MM = 1e-3
-"""Step of derivatives by described lengths, mm: lengths are some 30 mm, rounding 1e-14."""
+_STEP_MM = 1e-3  # step of derivatives by described lengths, mm: lengths are some 30 mm, rounding 1e-14
 
 
-_HEIGHTS = (0.6, 0.8, 1.0, 1.3)
-"""Of the projector over the belt, in distances of the camera."""
+_HEIGHTS = (0.6, 0.8, 1.0, 1.3)  # of the projector over the belt, in distances of the camera
 _ANGLES_DEG = np.arange(10.0, 61.0, 2.5)
-_TRIED = 8
-"""Best places of the projector by a part of the peaks that are tried with all of them."""
-_TRIED_VIEWS = 2
-"""Images that are looked at in the first trial."""
-_PEAKS_MAX = 1500
-"""Peaks of each of them: more tell nothing more and take their time."""
-_PLATE_ROUNDS = 5
-"""Of finding the balls and adjusting."""
-_STRIPE_POINTS_MIN = 12
-"""Points of a stripe on balls, besides its belt line, that determine its plane."""
+_TRIED = 8  # best places of the projector by a part of the peaks that are tried with all of them
+_TRIED_VIEWS = 2  # images that are looked at in the first trial
+_PEAKS_MAX = 1500  # peaks of each of them: more tell nothing more and take their time
+_PLATE_ROUNDS = 5  # of finding the balls and adjusting
+_STRIPE_POINTS_MIN = 12  # points of a stripe on balls, besides its belt line, that determine its plane
 _BELT_POINTS_MAX = 3000
 """Peaks on the belt that are used: so that they do not outnumber those on balls by far."""
 

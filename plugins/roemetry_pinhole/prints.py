@@ -23,16 +23,11 @@ from roemetry_pinhole.boards import BoardView
 from roemetry_pinhole.bundle import Adjusted, Measured
 from roemetry_pinhole.numbering import PoseLines, distances, planes_of, spacing_mm
 
-_SIZE_MAX = 0.3
-"""Of the logarithm: nobody describes a print so wrongly."""
-_TRIED = 6
-"""Sizes that are tried in full: the right one and those at which the neighbours' planes fit."""
-_ON_PLANE = 0.1
-"""Of the spacing of stripes: a line that is further from each plane lies on none."""
-_ALIKE = 0.01
-"""Difference of the logarithms by a line's two ends: more, and the line is not this plane's."""
-_STRETCH_STDS, _STRETCH_MIN = 5.0, 0.002
-"""A stretch is told from here on: 0.2 % is what printers do."""
+_SIZE_MAX = 0.3  # of the logarithm: nobody describes a print so wrongly
+_TRIED = 6  # sizes that are tried in full: the right one and those at which the neighbours' planes fit
+_ON_PLANE = 0.1  # of the spacing of stripes: a line that is further from each plane lies on none
+_ALIKE = 0.01  # difference of the logarithms by a line's two ends: more, and the line is not this plane's
+_STRETCH_STDS, _STRETCH_MIN = 5.0, 0.002  # a stretch is told from here on: 0.2 % is what printers do
 _NOT_SQUARE = 0.004
 """Where boards all lie alike in the image fx over fy takes the stretch: from here on it is told."""
 _SQUARE = 0.001

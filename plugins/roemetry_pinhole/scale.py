@@ -56,10 +56,8 @@ def by_scale(parameters: Mapping[str, Floats]) -> Floats:
     return flat(found)
 
 
-_ROUNDS_MAX = 8
-"""Of scaling the board: each leaves about the square of the error before."""
-_STILL = 1e-6
-"""Relative change of the scale at which it ends: a hundredth of any reference's uncertainty."""
+_ROUNDS_MAX = 8  # of scaling the board: each leaves about the square of the error before
+_STILL = 1e-6  # relative change of the scale at which it ends: a hundredth of any reference's uncertainty
 
 
 def scaled_by_references(
@@ -168,10 +166,8 @@ def rescaled(joined: Joint, factor: float) -> Joint:
 
 CONFLICT_STDS = 3.0
 """Standard uncertainties: two references of one scale differ by more once in 370."""
-_STEP_MM = 0.05
-"""Cells of the histogram of heights, mm: below a peak's noise of some 0.1 mm."""
-_POINTS_MIN = 60
-"""Points near a level: fewer gather by chance, for every peak is taken for every stripe."""
+_STEP_MM = 0.05  # cells of the histogram of heights, mm: below a peak's noise of some 0.1 mm
+_POINTS_MIN = 60  # points near a level: fewer gather by chance, for every peak is taken for every stripe
 
 
 @dataclass(frozen=True, eq=False, slots=True)

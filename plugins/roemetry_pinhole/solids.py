@@ -143,18 +143,15 @@ _BARE_SHARE = 0.08
 """Of a stripe's rows at either end that are bare belt, where no image of the empty belt is given."""
 _OFF_PX = 1.5
 """A peak farther than this from its belt line is on the solid: above the scatter of peaks on a belt."""
-_ROWS_MIN = 12
-"""Rows of a stripe: from fewer its line is not known to a pixel over the image."""
+_ROWS_MIN = 12  # rows of a stripe: from fewer its line is not known to a pixel over the image
 _PLATEAU_SHARE = 0.93
 """Of a stripe's highest displacement: peaks above are on its highest level, for steps are larger than 7 %."""
 _OFF_SHARE_MAX = 0.2
 """Of the height: a peak farther off the surface counts as so far, for it may be a shadow or a wall."""
 _FAN_CONDITION = 0.01
 """Planes of one fan do not say where on its axis the projector is: singular values below are taken for 0."""
-_LEANS = 0.5
-"""Tangent of a tilt (27°) that doubles a start's distance: cameras over belts stand straighter."""
-_MOVES_MAX = 120
-"""Evaluations of the simplex over three unknowns: it ends by its tolerances, or here."""
+_LEANS = 0.5  # tangent of a tilt (27°) that doubles a start's distance: cameras over belts stand straighter
+_MOVES_MAX = 120  # evaluations of the simplex over three unknowns: it ends by its tolerances, or here
 _DISTANCES = (0.76, 0.84, 0.92, 1.0, 1.08)
 """Of the distance by the solid's extent: what is hidden of it and its edges make that wrong by up to a
 fifth."""
@@ -369,7 +366,5 @@ def renumbered(view: Numbered, off_mm: Floats) -> Numbered:
     return replace(view, stripe=number.ravel())
 
 
-_SWAP_SHARE = 0.35
-"""Two neighbours are exchanged where it brings them nearer to the surface by this factor,"""
-_SWAP_FACTOR = 12.0
-"""and where they lie off it by so many usual distances: noise alone exchanges none."""
+_SWAP_SHARE = 0.35  # two neighbours are exchanged where it brings them nearer to the surface by this factor,
+_SWAP_FACTOR = 12.0  # and where they lie off it by so many usual distances: noise alone exchanges none

@@ -46,8 +46,7 @@ _FRAGMENT_ROWS_MIN = 6
 """Rows of a piece that is looked at at all: shorter ones are noise and letters. No change from 4 to 10."""
 _SHARE_MIN = 0.08
 """Of the longest line's peaks: shorter lines are edges of the print. No change from 0.05 to 0.13."""
-_ROUNDS = 3
-"""Rounds of sharing peaks out and fitting, until each peak has its nearest line."""
+_ROUNDS = 3  # rounds of sharing peaks out and fitting, until each peak has its nearest line
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -175,10 +174,8 @@ _WIDTH_SHARE_MAX = 0.35
 _POINTS_MAX = 20_000
 """Points that go into the adjustment; more are averaged over rows, for its time grows with them. Heights
 change by 1 µm at 12,000 and at 32,000, as another draw of the noise would change them."""
-_PEAKS_MIN = 8
-"""Peaks of a stripe on one surface: from fewer no curve can be fitted. No change from 5 to 13."""
-_BOARDS_MIN = 2
-"""Two lines determine a plane."""
+_PEAKS_MIN = 8  # peaks of a stripe on one surface: from fewer no curve can be fitted. No change from 5 to 13
+_BOARDS_MIN = 2  # two lines determine a plane
 _OFF_MAX_MADS = 5.0
 """Standard deviations from a smooth curve along the stripe beyond which a peak is left out: one normal error
 in two million. Heights change by 1 to 1.5 µm at 3 and at 8."""
@@ -326,10 +323,8 @@ class _OnBoard:
         return [(stripe, part) for stripe, part in found if part.size >= _PEAKS_MIN]
 
 
-_SEARCH_PX = 6.0
-"""Half the width of the lane in which a stripe is sought, px: first poses err by 1 to 2 px."""
-_SEARCH_SHARE = 0.35
-"""The same at most, of the distance of the next stripe."""
+_SEARCH_PX = 6.0  # half the width of the lane in which a stripe is sought, px: first poses err by 1 to 2 px
+_SEARCH_SHARE = 0.35  # the same at most, of the distance of the next stripe
 
 
 def _in_space(name: str, lines: list[StripeLine], xy: Floats, plane: Floats) -> PoseLines:

@@ -43,15 +43,12 @@ from roemetry_pinhole.pinhole_plane import belt_pose
 _CELLS = 6
 """Cells along either side of the image in which marks are averaged; with 10 poses of 80 marks 20 fall into
 each."""
-_CELL_MARKS_MIN = 8
-"""Marks in a cell: from fewer the mean is noise."""
+_CELL_MARKS_MIN = 8  # marks in a cell: from fewer the mean is noise
 _SYSTEMATIC_MAX_PX = 0.4
 """Error that neighbouring marks share, px, by which a lens model is refused: at 1500 px focal length 0.03 %,
 that is 0.1 mm over 350 mm."""
-_SYSTEMATIC_SHARE_MAX = 0.5
-"""The same as a share of the marks' noise: less is drowned in it."""
-_COVERAGE_MIN = 0.4
-"""Of the cells: with fewer the lens is a guess outside."""
+_SYSTEMATIC_SHARE_MAX = 0.5  # the same as a share of the marks' noise: less is drowned in it
+_COVERAGE_MIN = 0.4  # of the cells: with fewer the lens is a guess outside
 _PLANE_FACTOR_MAX = 5.0
 """Residuals of one stripe over those of the median stripe. Powers and widths of stripes differ, and with them
 their noise, by 2 to 3; a reflection taken for a stripe gives 20 and more."""
@@ -70,10 +67,8 @@ px is then 10 mm of height and more."""
 _USED_MIN = 0.75
 """Share of marks, and of stripe peaks on even print, that must fit. Least squares after trimming at 4.5
 standard deviations holds up to about a third of strays."""
-_STRIPE_USED_MIN = 0.5
-"""The same of each stripe alone: with less, what is left may be the strays."""
-_SYSTEMATIC_TOLD_PX = 0.05
-"""From here on a shared error is told: half the noise of a mark."""
+_STRIPE_USED_MIN = 0.5  # the same of each stripe alone: with less, what is left may be the strays
+_SYSTEMATIC_TOLD_PX = 0.05  # from here on a shared error is told: half the noise of a mark
 _CONFLICT_LITTLE = 10.0
 """Up to here stripes pull camera and poses off the marks by about three standard deviations in all."""
 _CONFLICT_MAX = 100.0
@@ -297,10 +292,8 @@ def _heights_reached(joined: Joint) -> tuple[float, float]:
     return float(height.min()), float(max(height.max(), 1.0))
 
 
-_FOLDS = 5
-"""Views are left out in five parts: four fifths of the views still calibrate nearly as well as all."""
-_POSES_MIN = 4
-"""Poses that must be left to calibrate from."""
+_FOLDS = 5  # views are left out in five parts: four fifths of the views still calibrate nearly as well as all
+_POSES_MIN = 4  # poses that must be left to calibrate from
 
 
 class CrossValidation(NamedTuple):
@@ -417,14 +410,12 @@ def stripe_offsets(geometry: Geometry, points: StripePoints) -> tuple[Floats, Fl
     return np.array(offset), np.array(at).reshape(-1, 2), np.array(surface, np.int64)
 
 
-_STRIPES_MIN = 4
-"""Stripes on a surface: through three a plane fits always."""
+_STRIPES_MIN = 4  # stripes on a surface: through three a plane fits always
 
 
 _WORSE_MAX = 1.5
 """Marks of other views over those used: half as large again means that the lens was fitted to noise."""
-_COVERAGE_TOLD_MIN = 0.7
-"""Of the cells with marks: with fewer it is told."""
+_COVERAGE_TOLD_MIN = 0.7  # of the cells with marks: with fewer it is told
 _STRAYS_TOLD = 0.1
 """A tenth of the peaks far off is more than noise and the odd reflection give (0 to 4 % on sound sets)."""
 _NOISE_TOLD = 2.0

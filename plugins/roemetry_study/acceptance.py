@@ -45,10 +45,8 @@ report.
 GUARD = 1.645
 """Standard uncertainties of the guard band: 95 % one-sided (ISO 14253-1)."""
 
-_NEAREST = 0.95
-"""Share of points that dispersion is taken over (ISO 10360-13, D95)."""
-_POINTS_MIN = 50
-"""On a sphere or plane: fewer do not show its form."""
+_NEAREST = 0.95  # share of points that dispersion is taken over (ISO 10360-13, D95)
+_POINTS_MIN = 50  # on a sphere or plane: fewer do not show its form
 _FIT_STD_MAX = 0.002
 """Of a sphere's radius: where noise alone makes centre or radius more uncertain, too few stripes cross it,
 and the fit would be judged instead of the instrument."""

@@ -34,8 +34,7 @@ CATEGORIES_NEEDED = 5
 """Number of distinct categories asked for (AIAG MSA)."""
 SPREAD = 6.0
 """Standard deviations that a tolerance is compared with: 99.73 % of readings."""
-_CATEGORY = 1.41
-"""√2 as the manual rounds it: its published numbers of categories come out."""
+_CATEGORY = 1.41  # √2 as the manual rounds it: its published numbers of categories come out
 
 
 class Line(NamedTuple):

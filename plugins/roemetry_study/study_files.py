@@ -85,13 +85,7 @@ class InputFile(Section):
 
     def made(self) -> Input:
         """Give the input."""
-        return Input(
-            self.value,
-            math.nan if self.std is None else self.std,
-            self.shape,
-            math.nan if self.half is None else self.half,
-            math.inf if self.freedom is None else self.freedom,
-        )
+        return Input(**self.model_dump(exclude_none=True))
 
 
 class ModelFile(Section):

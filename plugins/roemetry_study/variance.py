@@ -42,11 +42,9 @@ study. At 0.25 its published result is the same."""
 DRAWS = 20_000
 """Of each χ²: ends of a 95 % interval then repeat within 1 % of its width."""
 
-_ROUNDING = 1e-13
-"""Share of the squares that is rounding alone: double precision, over a hundred readings."""
+_ROUNDING = 1e-13  # share of the squares that is rounding alone: double precision, over a hundred readings
 
-_SEED = 20_000_101
-"""The same study gives the same intervals each time."""
+_SEED = 20_000_101  # the same study gives the same intervals each time
 
 
 @dataclass(frozen=True, slots=True)
