@@ -344,8 +344,8 @@ def cross_validate(measured: Measured, found: Geometry) -> CrossValidation:
             parts.append((*marks, _heights(geometry, board, points), at, points.pose, points.stripe))
     none, both, whole = np.empty(0), np.empty((0, 2)), np.empty(0, np.int64)
     columns = zip((both, both, whole, none, both, whole, whole), *parts, strict=True)
-    joined: list[Any] = [np.concatenate(column) for column in columns]
-    return CrossValidation(*joined, skipped=skipped)
+    joined: list[Any] = [*(np.concatenate(column) for column in columns), skipped]
+    return CrossValidation(*joined)
 
 
 def lifted(geometry: Geometry, points: StripePoints) -> Floats:
