@@ -27,22 +27,19 @@ _BLURRED_PX = 8.0
 """Width of the sharpest edges, px: with more, corners are found off their place or not at all."""
 _DICTIONARIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
 """Tried to tell which board is shown instead of the described one."""
-_ENLARGED = 4
-"""Times, for markers that are too small for the detector (6 px and less)."""
-_MARKERS_MIN = 4
-"""Markers in the enlarged image: fewer are found by chance in print and texture."""
-_SQUARES_MIN = 25
-"""Squares in it: a tiny board shows dozens, a room few."""
-_SQUARE_MAX_PX = 12.0
-"""Width of a square, px: wider ones would have been read as markers."""
+_ENLARGED = 4  # times, for markers that are too small for the detector (6 px and less)
+_MARKERS_MIN = 4  # markers in the enlarged image: fewer are found by chance in print and texture
+_SQUARES_MIN = 25  # squares in it: a tiny board shows dozens, a room few
+_SQUARE_MAX_PX = 12.0  # width of a square, px: wider ones would have been read as markers
 
 
 NEARER = "hold it nearer, or take a larger one"
 SHARPER = "focus, hold the board still, shorten the exposure"
 _WHOLE = "hold it wholly inside the image"
 _OTHER = "correct `board` in the rig file, or leave the image out"
-_ADVICE = "; is it there, lit, in front of something that differs from it?"
-_NONE = "no board is seen" + _ADVICE
+
+
+_NONE = "is it there, lit, in front of something that differs from it?"
 
 
 class BoardNotFoundError(Exception):
@@ -59,31 +56,33 @@ class BoardNotFoundError(Exception):
 
 def why_no_charuco(grey: NDArray[np.uint8], board: Board, corners: int) -> str:
     """Say why a ChArUco board shows too few corners."""
-    expected = (board.columns - 1) * (board.rows - 1)
-    own = _markers(grey, str(board.dictionary))
-    mirrored = _markers(np.ascontiguousarray(grey[:, ::-1]), str(board.dictionary))
+    import cv2
+
+    def ids_of(image: NDArray[np.uint8], dictionary: str) -> NDArray[Any]:
+        ids = cv2.aruco.ArucoDetector(_dictionary(dictionary)).detectMarkers(image)[1]
+        return np.empty(0, np.int64) if ids is None else np.ravel(ids)
+
+    described = str(board.dictionary)
+    ids = ids_of(grey, described)
+    own = ids.size
+    mirrored = ids_of(np.ascontiguousarray(grey[:, ::-1]), described).size
     if mirrored > max(2, 2 * own):  # a few false ones are found in any image
         return (
             "the image is mirrored: the board's markers are found in its mirror image; switch the camera's "
             "mirroring off, or give the image as it was taken"
         )
-    tiny = _tiny(grey, str(board.dictionary))
+    tiny = _tiny(grey, described)
     if tiny:
         return tiny
-    if own < 3:
-        for name in _DICTIONARIES:
-            found = _markers(grey, name)
-            if found > max(3, 2 * own) and not name.startswith(str(board.dictionary)[:8]):
-                return (
-                    f"it is another board: {found} markers of {name} are seen, {own} of {board.dictionary}; "
-                    + _OTHER
-                )
+    for name in _DICTIONARIES if own < 3 else ():
+        found = ids_of(grey, name).size
+        if found > max(3, 2 * own) and not name.startswith(described[:8]):
+            return f"it is another board: {found} markers of {name} are seen, {own} of {described}; {_OTHER}"
     if own == 0:
-        return _blurred(grey) or _NONE
+        return _blurred(grey) or f"no board is seen; {_NONE}"
     if own > 4 and corners < 4:
-        ids = np.ravel(_ids(grey, str(board.dictionary)))
-        count = len(board_ids(board))
-        if ids.size and ids.max() >= count:
+        count = np.size(charuco_of(board, "new").getIds())
+        if ids.max() >= count:
             return (
                 f"it is another board: marker {ids.max()} is seen, the one described has 0 to {count - 1}; "
                 + _OTHER
@@ -92,7 +91,14 @@ def why_no_charuco(grey: NDArray[np.uint8], board: Board, corners: int) -> str:
             f"the markers do not stand as on a board of {board.columns} × {board.rows}: is it another one? "
             + _OTHER
         )
+    expected = (board.columns - 1) * (board.rows - 1)
     return f"the board is cut off: {corners} of {expected} corners are seen; show more of it"
+
+
+def _dictionary(name: str) -> Any:
+    import cv2
+
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
 def why_no_chessboard(grey: NDArray[np.uint8], board: Board) -> str:
@@ -104,13 +110,11 @@ def why_no_chessboard(grey: NDArray[np.uint8], board: Board) -> str:
     found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
     blurred = _blurred(grey)  # then what is found is a part of the board, not the whole of another one
     if not found or meta is None or blurred:
-        return blurred or _NONE
+        return blurred or f"no board is seen; {_NONE}"
     size = sorted(meta.shape)
     xy = corners.reshape(-1, 2)
     pitch = float(np.median(np.hypot(*np.diff(xy[: meta.shape[1]], axis=0).T)))
-    low, high = xy.min(axis=0), xy.max(axis=0)
-    at_border = (low < 1.5 * pitch).any() or (high > np.array(grey.shape[::-1]) - 1.5 * pitch).any()
-    if at_border and size[0] <= expected[0] and size[1] <= expected[1]:
+    if _at_border(xy, pitch, grey) and size[0] <= expected[0] and size[1] <= expected[1]:
         return (
             f"the board is cut off: {size[1]} × {size[0]} of {expected[1]} × {expected[0]} corners are seen; "
             + _WHOLE
@@ -121,20 +125,25 @@ def why_no_chessboard(grey: NDArray[np.uint8], board: Board) -> str:
     )
 
 
+def _at_border(xy_px: Floats, pitch_px: float, grey: NDArray[np.uint8]) -> bool:
+    room = 1.5 * pitch_px
+    return bool((xy_px < room).any() or (xy_px > np.array(grey.shape[::-1]) - room).any())
+
+
 def why_no_circles(grey: NDArray[np.uint8], board: Board, circles_px: Floats) -> str:
     """Say why no grid was found among dark circles at (circle, 2)."""
     expected, count = board.columns * board.rows, len(circles_px)
     if count < expected / 4:
-        return _blurred(grey) or f"no board is seen ({count} dark circles, {expected} are expected)" + _ADVICE
+        return _blurred(grey) or (
+            f"no board is seen ({count} dark circles, {expected} are expected); {_NONE}"
+        )
     if count >= expected:
         return (
             f"{count} dark circles are seen, no grid of {board.columns} × {board.rows}: is it another board? "
             + _OTHER
         )
     apart = np.hypot(*(circles_px[:, None] - circles_px[None]).transpose(2, 0, 1))
-    pitch = float(np.median(np.sort(apart, axis=1)[:, 1]))
-    low, high = circles_px.min(axis=0), circles_px.max(axis=0)
-    if (low < 1.5 * pitch).any() or (high > np.array(grey.shape[::-1]) - 1.5 * pitch).any():
+    if _at_border(circles_px, float(np.median(np.sort(apart, axis=1)[:, 1])), grey):
         return f"the board is cut off: {count} of {expected} circles are seen; {_WHOLE}"
     return (
         f"{count} dark circles are seen, {expected} are expected: is it another board, or is a part covered? "
@@ -142,45 +151,20 @@ def why_no_circles(grey: NDArray[np.uint8], board: Board, circles_px: Floats) ->
     )
 
 
-def board_ids(board: Board) -> NDArray[Any]:
-    """Give the ids of a ChArUco board's markers."""
-    import cv2
-
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, str(board.dictionary)))
-    marker_mm = float(board.marker_mm or 0.0)
-    made = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_mm, marker_mm, dictionary)
-    return np.ravel(made.getIds())
-
-
-def _markers(grey: NDArray[np.uint8], dictionary: str) -> int:
-    return int(_ids(grey, dictionary).size)
-
-
-def _ids(grey: NDArray[np.uint8], dictionary: str) -> NDArray[Any]:
-    import cv2
-
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)))
-    ids = detector.detectMarkers(grey)[1]
-    return np.empty(0, np.int64) if ids is None else np.ravel(ids)
-
-
 def _tiny(grey: NDArray[np.uint8], dictionary: str) -> str:
     """Say that markers are too small to be read, by what an enlarged image shows; "" where they are not."""
     import cv2
 
     large = cv2.resize(grey, None, fx=_ENLARGED, fy=_ENLARGED, interpolation=cv2.INTER_CUBIC)
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)))
-    corners, _, squares = detector.detectMarkers(large)
+    corners, _, squares = cv2.aruco.ArucoDetector(_dictionary(dictionary)).detectMarkers(large)
 
     def width_px(found: Sequence[NDArray[Any]]) -> float:
         return float(np.median([np.hypot(*(one[0, 1] - one[0, 0])) for one in found])) / _ENLARGED
 
-    if len(corners) >= _MARKERS_MIN:
-        width = width_px(corners)
+    if len(corners) >= _MARKERS_MIN and width_px(corners) < 14:
         return (
-            f"the board is too small: its markers are {width:.0f} px wide, 14 px are needed; {NEARER}"
-            if width < 14
-            else ""
+            f"the board is too small: its markers are {width_px(corners):.0f} px wide, 14 px are needed; "
+            + NEARER
         )
     if not corners and len(squares) >= _SQUARES_MIN and width_px(squares) < _SQUARE_MAX_PX:
         return (
@@ -189,22 +173,26 @@ def _tiny(grey: NDArray[np.uint8], dictionary: str) -> str:
     return ""
 
 
-def _blurred(grey: NDArray[np.uint8]) -> str:
-    """Say that nothing in the image is sharp; "" where something is."""
+def _smooth_and_slope(grey: NDArray[np.uint8], sigma_px: float) -> tuple[Floats, Floats]:
+    """Give the smoothed image, and how steep it is, grey levels per px."""
     import cv2
 
-    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 1.5)
-    slope = np.hypot(
-        cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125)
-    )
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), sigma_px)
+    along, down = (cv2.Sobel(smooth, cv2.CV_32F, x, 1 - x, scale=0.125) for x in (1, 0))
+    return np.asarray(smooth), np.hypot(along, down)
+
+
+def _blurred(grey: NDArray[np.uint8]) -> str:
+    """Say that nothing in the image is sharp; "" where something is."""
+    smooth, slope = _smooth_and_slope(grey, 1.5)
     low, high = np.percentile(smooth, [1, 99])
     width = float(high - low) / max(float(np.percentile(slope, 99.5)), 1e-3)
-    if width > _BLURRED_PX:
-        return (
-            f"no board is seen, and nothing is sharp: edges are {width:.0f} px wide; is the image blurred? "
-            + SHARPER
-        )
-    return ""
+    if width <= _BLURRED_PX:
+        return ""
+    return (
+        f"no board is seen, and nothing is sharp: edges are {width:.0f} px wide; is the image blurred? "
+        + SHARPER
+    )
 
 
 _SPACING_MIN_PX = 8.0
@@ -221,8 +209,7 @@ _CHARUCO_SPAN_MIN = 0.3
 _FIT_SHARE_MAX = 0.12
 """Of the distance of marks, for their median distance from a homography: a strong lens bends by 0.05, another
 board by 0.3 and more."""
-_CIRCLE_AREA_MIN_PX = 12.0
-"""Area of a circle, px²: below it, its centre is known to no better than 0.1 px."""
+_CIRCLE_AREA_MIN_PX = 12.0  # area of a circle, px²: below it, its centre is known to no better than 0.1 px
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -237,9 +224,9 @@ class Marks:
     layout: str
     """Of a ChArUco board the layout that fits, ``new`` or ``old``; else ""."""
     edge_px: float
-    """Width of its edges in the image, px: range of grey levels over the steepest slope."""
     spacing_px: float
-    """Median distance of neighbouring marks, px."""
+    """edge_px, spacing_px: width of its edges in the image, range of grey levels over the steepest slope, and
+    median distance of neighbouring marks, px."""
     radius_mm: float = 0.0
     """Of a grid's circles, estimated from their area in the image; 0 for other boards."""
 
@@ -247,12 +234,14 @@ class Marks:
 def find_marks(frame: Frame, board: Board) -> Marks:
     """Find a board.
 
-    Raises
-    ------
-    BoardNotFoundError
-        It cannot be used, with the reason: not there, blurred, tiny, cut off, mirrored, another board.
+    Raises BoardNotFoundError: it cannot be used, with the reason: not there, blurred, tiny, cut off,
+    mirrored, another board.
     """
-    grey = _eight_bit(frame)
+    import cv2
+
+    grey = np.ascontiguousarray(frame.pixels)
+    if grey.dtype != np.uint8 or frame.bit_depth != 8:
+        grey = np.rint(grey * (255.0 / frame.white)).clip(0, 255).astype(np.uint8)
     layout, radius_mm = "", 0.0
     if board.kind == "charuco":
         board_mm, xy_px, layout = _charuco(grey, board)
@@ -273,20 +262,25 @@ def find_marks(frame: Frame, board: Board) -> Marks:
             f"the board is blurred: its edges are {edge_px:.1f} px wide, its corners {spacing_px:.1f} px "
             f"apart; {SHARPER}"
         )
-    _check_fit(board_mm, xy_px, spacing_px, board)
+    matrix = cv2.findHomography(board_mm[:, :2].copy(), xy_px, 0)[0]
+    if matrix is None:
+        raise BoardNotFoundError(
+            "the board is seen edge on: its corners lie on a line; turn it towards the camera"
+        )
+    seen = np.column_stack([board_mm[:, :2], np.ones(len(board_mm))]) @ matrix.T
+    off_px = float(np.median(np.hypot(*(seen[:, :2] / seen[:, 2:] - xy_px).T)))
+    if off_px > _FIT_SHARE_MAX * spacing_px:
+        raise BoardNotFoundError(
+            f"the corners do not lie as on a board of {board.columns} × {board.rows}: "
+            f"they are {off_px:.1f} px off; is it another board? Correct `board`, or leave the image out"
+        )
     return Marks(board_mm, xy_px, layout, edge_px, spacing_px, radius_mm)
-
-
-def _eight_bit(frame: Frame) -> NDArray[np.uint8]:
-    pixels = frame.pixels
-    if pixels.dtype == np.uint8 and frame.bit_depth == 8:
-        return np.ascontiguousarray(pixels)
-    return np.ascontiguousarray(np.rint(pixels * (255.0 / frame.white)).clip(0, 255).astype(np.uint8))
 
 
 def _charuco(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, str]:
     import cv2
 
+    expected = (board.columns - 1) * (board.rows - 1)
     best: tuple[int, Any, Any, str] = (0, None, None, "")
     pattern = charuco_of(board, "new")
     for layout in ("new", "old") if board.layout == "auto" else (board.layout,):
@@ -294,7 +288,7 @@ def _charuco(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, str
         corners, ids, _, _ = cv2.aruco.CharucoDetector(tried).detectBoard(grey)
         if ids is not None and len(ids) > best[0]:
             best, pattern = (len(ids), corners, ids, layout), tried
-        if best[0] > 0.7 * (board.columns - 1) * (board.rows - 1):
+        if best[0] > 0.7 * expected:
             break  # another layout does not show that many
     count, corners, ids, layout = best
     if count < _CHARUCO_MIN:
@@ -304,8 +298,7 @@ def _charuco(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, str
     spanned = np.ptp(places[:, :2], axis=0) / (board.pitch_mm * np.array([board.columns, board.rows]))
     if spanned.min() < _CHARUCO_SPAN_MIN:
         raise BoardNotFoundError(
-            f"the board is cut off: {count} of {(board.columns - 1) * (board.rows - 1)} corners are seen; "
-            "show more of it"
+            f"the board is cut off: {count} of {expected} corners are seen; show more of it"
         )
     xy = np.asarray(corners, np.float32).reshape(-1, 1, 2)
     spacing = _spacing(places, xy[:, 0, :].astype(np.float64), board.pitch_mm)
@@ -318,9 +311,8 @@ def charuco_of(board: Board, layout: str) -> Any:
     """Give OpenCV's ChArUco board of a layout, ``new`` or ``old``."""
     import cv2
 
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, str(board.dictionary)))
-    marker_mm = float(board.marker_mm or 0.0)
-    made = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_mm, marker_mm, dictionary)
+    size, marker_mm = (board.columns, board.rows), float(board.marker_mm or 0.0)
+    made = cv2.aruco.CharucoBoard(size, board.pitch_mm, marker_mm, _dictionary(str(board.dictionary)))
     made.setLegacyPattern(layout == "old")
     return made
 
@@ -341,7 +333,7 @@ def _chessboard(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats]:
     spacing = float(np.median(np.hypot(*np.diff(corners[: size[0], 0, :], axis=0).T)))
     # over a window that holds more of the edges than the detector's own it scatters less
     xy = _refined(grey, corners, spacing).reshape(size[1], size[0], 2)
-    return _grid(_right_handed(xy), board.pitch_mm, 1.0)
+    return _grid(xy, board.pitch_mm, 1.0)
 
 
 def _circles(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, float]:
@@ -363,9 +355,8 @@ def _circles(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, flo
         circles = np.array([one.pt for one in detector.detect(grey)], np.float64).reshape(-1, 2)
         raise BoardNotFoundError(lambda: why_no_circles(grey, board, circles))
     xy = np.asarray(centres, np.float64).reshape(size[1], size[0], 2)
-    board_mm, places = _grid(_right_handed(xy), board.pitch_mm, 0.5)
-    spacing_px = _spacing(board_mm, places, board.pitch_mm)
-    centres, area_px = _centred(grey, places, spacing_px)
+    board_mm, places = _grid(xy, board.pitch_mm, 0.5)
+    centres, area_px = _centred(grey, places, _spacing(board_mm, places, board.pitch_mm))
     matrix = cv2.findHomography(board_mm[:, :2], centres, 0)[0]
     homogeneous = np.column_stack([board_mm[:, :2], np.ones(len(board_mm))]) @ matrix.T
     # area of the image of a unit of the board, at each mark
@@ -373,13 +364,11 @@ def _circles(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, flo
     return board_mm, centres, float(np.sqrt(np.nanmedian(area_px / scale) / np.pi))
 
 
-def _right_handed(xy: Floats) -> Floats:
-    """Order (row, column, 2) so that rows follow columns clockwise in the image, whose y points down."""
-    along, down = xy[0, -1] - xy[0, 0], xy[-1, 0] - xy[0, 0]
-    return xy if along[0] * down[1] - along[1] * down[0] > 0 else xy[:, ::-1]
-
-
 def _grid(xy: Floats, pitch_mm: float, first: float) -> tuple[Floats, Floats]:
+    """Give places on the board and in the image, of marks (row, column, 2) in either order of the columns."""
+    # rows follow columns clockwise in the image, whose y points down
+    along, down = xy[0, -1] - xy[0, 0], xy[-1, 0] - xy[0, 0]
+    xy = xy if along[0] * down[1] - along[1] * down[0] > 0 else xy[:, ::-1]
     row, column = np.indices(xy.shape[:2])
     places = np.stack([column + first, row + first, np.zeros(row.shape)], axis=2) * pitch_mm
     return places.reshape(-1, 3), xy.reshape(-1, 2)
@@ -424,12 +413,7 @@ def _spacing(board_mm: Floats, xy_px: Floats, pitch_mm: float) -> float:
 
 def _edge_width(grey: NDArray[np.uint8], xy_px: Floats, spacing_px: float) -> float:
     """Median over the marks of the range of grey levels around them over the steepest slope there, px."""
-    import cv2
-
-    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.7)
-    slope = np.hypot(
-        cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125)
-    )
+    smooth, slope = _smooth_and_slope(grey, 0.7)
     half = max(int(0.5 * spacing_px), 2)
     widths = []
     for x, y in np.rint(xy_px).astype(int):
@@ -439,31 +423,12 @@ def _edge_width(grey: NDArray[np.uint8], xy_px: Floats, spacing_px: float) -> fl
     return float(np.median(widths))
 
 
-def _check_fit(board_mm: Floats, xy_px: Floats, spacing_px: float, board: Board) -> None:
-    import cv2
-
-    flat = board_mm[:, :2].astype(np.float64)
-    matrix, _ = cv2.findHomography(flat, xy_px, 0)
-    if matrix is None:
-        raise BoardNotFoundError(
-            "the board is seen edge on: its corners lie on a line; turn it towards the camera"
-        )
-    seen = np.column_stack([flat, np.ones(len(flat))]) @ matrix.T
-    off = float(np.median(np.hypot(*(seen[:, :2] / seen[:, 2:] - xy_px).T)))
-    if off > _FIT_SHARE_MAX * spacing_px:
-        raise BoardNotFoundError(
-            f"the corners do not lie as on a board of {board.columns} × {board.rows}: "
-            f"they are {off:.1f} px off; is it another board? Correct `board`, or leave the image out"
-        )
-
-
 _LIT_GREY = 0.06
 """Of white: what the laser must add or take to count as a change; noise of two images is 0.01 to 0.02."""
 _UNEVEN_NOISE = 0.02
 """Of white: differences of grey that noise alone makes within a stripe's width. Heights change by 0.4 µm at
 0.012 and at 0.032."""
-_LIT_SHARE_MIN = 2e-4
-"""Of the image: one stripe of 2 px along a tenth of the rows is as much."""
+_LIT_SHARE_MIN = 2e-4  # of the image: one stripe of 2 px along a tenth of the rows is as much
 _OTHER_LIGHT_SHARE = 0.25
 """Of the image: where more is darker, the two were taken in different light and cannot be compared."""
 
@@ -473,21 +438,18 @@ class BoardView:
     """The board in one pose."""
 
     name: str
-    """Of the image in which its marks were found."""
     marks: Marks
-    """Its marks."""
+    """name, marks: of the image in which its marks were found, and these."""
     laser: Observation | None
-    """The image with the laser on, with its peaks; None where there is none that can be used."""
     plain: Observation | None
-    """The image with the laser off, if there is one."""
+    """laser, plain: the images with the laser on, with its peaks, and off; None where none can be used."""
     on_belt: bool
     """Whether the board lies on the belt."""
     count: float
     """Encoder count; NaN where not known."""
     board: Board
-    """The board as it is described."""
     number: int = 0
-    """Its number among the boards of the set."""
+    """board, number: the board as described, and its number among those of the set."""
     pose: str = ""
     """The pose, by the number in its images' names."""
     raw_px: Floats | None = None
@@ -511,14 +473,13 @@ def board_views(observed: CalibrationSet, seen: Seen) -> None:
         for observation in observed.showing(shows):
             poses.setdefault((observation.board, observation.pose), {})[observation.frame.role] = observation
         for (number, name), pose in poses.items():
-            board = observed.boards[number]
+            board, on_belt = observed.boards[number], shows == "board_on_belt"
             plain, laser = pose.get("plain"), pose.get("laser")
             found = _marks([one for one in (plain, laser) if one is not None], board, seen)
             if found is None:
                 continue
             frame, marks = found
-            on_belt = shows == "board_on_belt"
-            count = plain.frame.encoder_count if plain is not None else np.nan
+            of_pose: dict[str, Any] = {"board": board, "number": number, "pose": name, "on_belt": on_belt}
             if laser is not None and plain is not None:
                 fault = _lit(plain, laser)
                 elsewhere = None if fault else _elsewhere(plain, laser, board, marks)
@@ -526,18 +487,15 @@ def board_views(observed: CalibrationSet, seen: Seen) -> None:
                     seen.left_out[laser.frame.name] = fault
                     laser = None
                 elif elsewhere is not None:
-                    moved_px = _apart_px(marks, elsewhere)
+                    shown = laser.frame.name
                     seen.notes.append(
-                        f"the board moved by {moved_px:.1f} px between {plain.frame.name} and "
-                        f"{laser.frame.name}, whose names have the same number: taken for two poses"
+                        f"the board moved by {_apart_px(marks, elsewhere):.1f} px between {plain.frame.name} "
+                        f"and {shown}, whose names have the same number: taken for two poses"
                     )
-                    seen.views.append(
-                        BoardView(
-                            laser.frame.name, elsewhere, laser, None, on_belt, np.nan, board, number, name
-                        )
-                    )
+                    seen.views.append(BoardView(shown, elsewhere, laser, None, count=np.nan, **of_pose))
                     laser = None
-            seen.views.append(BoardView(frame, marks, laser, plain, on_belt, count, board, number, name))
+            count = plain.frame.encoder_count if plain is not None else np.nan
+            seen.views.append(BoardView(frame, marks, laser, plain, count=count, **of_pose))
     _one_layout(seen)
 
 
@@ -607,14 +565,9 @@ def plain_is_under(plain: Frame, laser: Frame, marks: Marks) -> bool:
 def _apart_px(one: Marks, other: Marks) -> float:
     """Give the median distance of marks that both images show, px; NaN where there are none."""
     at = {tuple(place): px for place, px in zip(np.round(other.board_mm, 3), other.xy_px, strict=True)}
-    shared = [
-        (px, at[key])
-        for key, px in zip(map(tuple, np.round(one.board_mm, 3)), one.xy_px, strict=True)
-        if key in at
-    ]
-    if not shared:
-        return float("nan")
-    return float(np.median([np.hypot(*(a - b)) for a, b in shared]))
+    places = [tuple(place) for place in np.round(one.board_mm, 3)]
+    off = [np.hypot(*(px - at[key])) for key, px in zip(places, one.xy_px, strict=True) if key in at]
+    return float(np.median(off)) if off else float("nan")
 
 
 def _lit(plain: Observation, laser: Observation) -> str:

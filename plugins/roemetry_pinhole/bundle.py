@@ -24,7 +24,7 @@ is refused, and it believes errors that all observations share: a wrong pitch, a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -33,6 +33,10 @@ from roemetry.errors import CalibrationError
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
 from roemetry_pinhole.geometry import (
+    NO_CORNERS,
+    NO_EDGES,
+    NO_FEET,
+    NO_POINTS,
     ON_BELT,
     Corners,
     Edges,
@@ -43,12 +47,9 @@ from roemetry_pinhole.geometry import (
     corner_residuals,
     corner_rows,
     edge_rows,
-    foot_residuals,
     foot_rows,
-    no_edges,
     stripe_residuals,
     stripe_rows,
-    unknowns_of,
 )
 
 TOLERANCE = 1e-11
@@ -58,10 +59,8 @@ STD_MIN_PX = 2e-3
 _HUBER = 2.0
 """Standard deviations where Huber's loss becomes linear: 95 % efficient at 1.35, 98 % at 2. It gives a start
 only; heights change by 0.01 µm at 1.2 and 3.2."""
-_ROUNDS_MAX = 60
-"""Steps; where these do not do, there is no minimum near the start."""
-_DAMPING_MAX = 1e6
-"""No step is found beyond: the minimum is reached to rounding."""
+_ROUNDS_MAX = 60  # steps; where these do not do, there is no minimum near the start
+_DAMPING_MAX = 1e6  # no step is found beyond: the minimum is reached to rounding
 
 
 @dataclass(eq=False, slots=True)
@@ -86,7 +85,7 @@ class Problem:
     feet: Feet
     foot_std_mm: float | Floats
     weights: Weights
-    edges: Edges = field(default_factory=no_edges)
+    edges: Edges = NO_EDGES
 
     @property
     def scale_min(self) -> float:
@@ -95,15 +94,14 @@ class Problem:
 
     def solve(self, geometry: Geometry, tolerance: float) -> Geometry:
         """Levenberg–Marquardt until a step gains less than the share `tolerance` of the cost."""
+        from scipy.linalg import cho_solve
+
         damping, cost = 1e-4, self.cost(geometry)
         for _ in range(_ROUNDS_MAX):
             normal, gradient = self.normal(geometry)
-            diagonal = np.diag(normal).copy()
-            if not (diagonal > 0).all():
-                raise _undetermined()
             while True:
-                step = _solved(normal, diagonal, damping, gradient)
-                moved = self.unknowns.moved(geometry, -step)
+                factor, scale = _factored(normal, damping)
+                moved = self.unknowns.moved(geometry, -scale * cho_solve(factor, scale * gradient))
                 new_cost = self.cost(moved)
                 if new_cost <= cost * (1.0 + 1e-12):
                     break
@@ -120,34 +118,37 @@ class Problem:
 
     def normal(self, geometry: Geometry) -> tuple[Floats, Floats]:
         """Normal matrix and gradient."""
-        size = self.unknowns.count
+        size, weights = self.unknowns.count, self.weights
         normal, gradient = np.zeros((size, size)), np.zeros(size)
         marks = corner_rows(geometry, self.unknowns, self.corners)
         stripes = stripe_rows(geometry, self.unknowns, self.points)
         stands = foot_rows(geometry, self.unknowns, self.feet)
         rims = edge_rows(geometry, self.unknowns, self.edges)
-        off, far = self._off(marks.residual), self._far(stripes.residual)
+        corner, stripe = weights.corner, weights.stripe
+        if weights.robust:
+            corner = corner * _huber_weight(self._off(marks.residual))
+            stripe = stripe * _huber_weight(self._far(stripes.residual))
+        # edges stay robust, for a corner or a chip is always among them
+        rim = _huber_weight(np.abs(rims.residual) / self.edges.std_px)
         for rows, weight in (
-            (marks, np.repeat(self._share(off, self.weights.corner), 2) / self.weights.corner_std_px**2),
-            (stripes, self._share(far, self.weights.stripe) / self._stripe_variance()),
+            (marks, np.repeat(corner, 2) / weights.corner_std_px**2),
+            (stripes, stripe / self._stripe_variance()),
             (stands, np.full(stands.residual.size, 1.0) / np.square(self.foot_std_mm)),
-            (rims, self._rim_share(rims.residual) / self.edges.std_px**2),
+            (rims, rim / self.edges.std_px**2),
         ):
             add_rows(rows.columns, rows.values, rows.residual, weight, normal, gradient)
         return normal + np.tril(normal, -1).T, gradient
 
     def cost(self, geometry: Geometry) -> float:
         """Weighted squares, or Huber's loss; infinite where the geometry is impossible."""
+        weights, loss = self.weights, _huber if self.weights.robust else np.square
         off = self._off(corner_residuals(geometry, self.corners))
         far = self._far(stripe_residuals(geometry, self.points))
-        total = ((foot_residuals(geometry, self.feet) / self.foot_std_mm) ** 2).sum()
+        total = ((foot_rows(geometry, self.unknowns, self.feet).residual / self.foot_std_mm) ** 2).sum()
         rims = np.abs(edge_rows(geometry, self.unknowns, self.edges).residual) / self.edges.std_px
         total += _huber(rims).sum()
-        for distance, share in (
-            (off, self.weights.corner),
-            (far, self.weights.stripe / self.weights.correlation),
-        ):
-            total += (share * (_huber(distance) if self.weights.robust else distance**2)).sum()
+        total += (weights.corner * loss(off)).sum()
+        total += (weights.stripe / weights.correlation * loss(far)).sum()
         return float(total) if np.isfinite(total) else np.inf
 
     def marks_cost(self, geometry: Geometry) -> float:
@@ -184,16 +185,6 @@ class Problem:
     def _far(self, stripes: Floats) -> Floats:
         return np.abs(stripes) / (self.points.std_px * self.weights.stripe_scale)
 
-    def _share(self, distance: Floats, share: Floats) -> Floats:
-        """Huber's weights while robust."""
-        if not self.weights.robust:
-            return share
-        return share * np.minimum(1.0, _HUBER / np.maximum(distance, 1e-300))
-
-    def _rim_share(self, rims: Floats) -> Floats:
-        """Huber's weights: edges stay robust, for a corner or a chip is always among them."""
-        return np.minimum(1.0, _HUBER / np.maximum(np.abs(rims) / self.edges.std_px, 1e-300))
-
     def _stripe_variance(self) -> Floats:
         return (self.points.std_px * self.weights.stripe_scale) ** 2 * self.weights.correlation
 
@@ -202,27 +193,31 @@ def _huber(distance: Floats) -> Floats:
     return np.where(distance > _HUBER, _HUBER * (2.0 * distance - _HUBER), distance**2)
 
 
-def _solved(normal: Floats, diagonal: Floats, damping: float, gradient: Floats) -> Floats:
-    from scipy.linalg import LinAlgError, cho_factor, cho_solve
+def _huber_weight(distance: Floats) -> Floats:
+    return np.minimum(1.0, _HUBER / np.maximum(distance, 1e-300))
 
+
+def _factored(normal: Floats, damping: float = 0.0) -> tuple[Any, Floats]:
+    """Factor a normal matrix whose unknowns differ by many powers of ten, scaled to a diagonal of 1."""
+    from scipy.linalg import LinAlgError, cho_factor
+
+    diagonal = np.diag(normal)
+    if not (diagonal > 0).all():
+        raise _undetermined()
     scale = 1.0 / np.sqrt(diagonal)
     matrix = normal * scale[:, None] * scale[None, :]
     matrix[np.diag_indices_from(matrix)] += damping
     try:
-        return np.asarray(scale * cho_solve(cho_factor(matrix, lower=True), scale * gradient))
+        return cho_factor(matrix, lower=True), scale
     except LinAlgError as error:
         raise _undetermined() from error
 
 
 def inverse(normal: Floats) -> Floats:
-    """Invert a normal matrix whose unknowns differ by many powers of ten: the covariance."""
-    from scipy.linalg import LinAlgError, cho_factor, cho_solve
+    """Invert a normal matrix: the covariance."""
+    from scipy.linalg import cho_solve
 
-    scale = 1.0 / np.sqrt(np.diag(normal))
-    try:
-        factor = cho_factor(normal * scale[:, None] * scale[None, :], lower=True)
-    except LinAlgError as error:
-        raise _undetermined() from error
+    factor, scale = _factored(normal)
     inverse = cho_solve(factor, np.eye(len(normal)))
     return np.asarray(0.5 * (inverse + inverse.T) * scale[:, None] * scale[None, :])
 
@@ -249,7 +244,7 @@ and 8."""
 _LAGS = 150
 """Points along a stripe over which residuals are tried for correlation; it ends at the first that is not
 significant."""
-_MAD_TO_STD = 1.4826
+MAD_TO_STD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 
@@ -258,15 +253,12 @@ class Adjusted:
     """What the adjustment found."""
 
     geometry: Geometry
-    """The unknowns' best values."""
     unknowns: Unknowns
-    """Where each stands in `covariance`."""
     covariance: Floats
-    """(n, n) of all unknowns."""
+    """geometry, unknowns, covariance: best values, where each unknown stands, and (n, n) of all of them."""
     corner_px: Floats
-    """(mark, 2) residuals, px."""
     stripe_px: Floats
-    """(point,) residuals, px."""
+    """corner_px, stripe_px: (mark, 2), (point,) residuals, px."""
     corner_used: Flags
     stripe_used: Flags
     """corner_used, stripe_used: (mark,), (point,) False for what was left out as far off."""
@@ -292,30 +284,16 @@ def adjust(
     feet: Feet,
     *,
     foot_std_mm: float | Floats,
-    edges: Edges | None = None,
+    edges: Edges = NO_EDGES,
 ) -> Adjusted:
-    """Find the unknowns.
+    """Find the unknowns from a start whose nearest minimum is the right one.
 
-    Parameters
-    ----------
-    geometry
-        Where to start; near enough for the nearest minimum to be the right one.
-    unknowns
-        What is looked for.
-    corners, points, feet
-        What was seen.
-    foot_std_mm
-        Standard uncertainty of the feet's heights, of all or of each.
-    edges
-        What was seen of solids' edges; None: nothing.
+    `foot_std_mm` is the standard uncertainty of the feet's heights, of all or of each.
 
-    Raises
-    ------
-    CalibrationError
-        What was seen does not determine the unknowns.
+    Raises CalibrationError: what was seen does not determine the unknowns.
     """
     weights = Weights(1.0, 1.0, np.ones(corners.pose.size), np.ones(points.pose.size))
-    problem = Problem(unknowns, corners, points, feet, foot_std_mm, weights, edges or no_edges())
+    problem = Problem(unknowns, corners, points, feet, foot_std_mm, weights, edges)
     geometry = robust_prefit(problem, geometry)
     _reject_outliers(problem, geometry)
     points = problem.points = _by_surface(problem, geometry)
@@ -328,20 +306,18 @@ def adjust(
     weights.correlation = _correlation(stripe_residuals(geometry, points) / points.std_px, points, weights)
     geometry, conflict = _reweight_stripes(problem, geometry)
     problem.estimate_noise(geometry)
-    covariance = inverse(problem.normal(geometry)[0])
-    marks, stripes = corner_residuals(geometry, corners), stripe_residuals(geometry, points)
     return Adjusted(
-        geometry=geometry,
-        unknowns=unknowns,
-        covariance=covariance,
-        corner_px=marks.reshape(-1, 2),
-        stripe_px=stripes,
-        corner_used=weights.corner > 0,
-        stripe_used=weights.stripe > 0,
-        corner_std_px=weights.corner_std_px,
-        stripe_scale=weights.stripe_scale,
-        correlation=weights.correlation,
-        conflict=conflict,
+        geometry,
+        unknowns,
+        inverse(problem.normal(geometry)[0]),
+        corner_residuals(geometry, corners).reshape(-1, 2),
+        stripe_residuals(geometry, points),
+        weights.corner > 0,
+        weights.stripe > 0,
+        weights.corner_std_px,
+        weights.stripe_scale,
+        weights.correlation,
+        conflict,
     )
 
 
@@ -390,8 +366,7 @@ def _by_surface(problem: Problem, geometry: Geometry) -> StripePoints:
     return replace(points, std_px=np.where(belt, factor, 1.0) * points.std_px)
 
 
-_SURFACE_POINTS_MIN = 50
-"""Of fewer points the spread is uncertain by more than a tenth."""
+_SURFACE_POINTS_MIN = 50  # of fewer points the spread is uncertain by more than a tenth
 _SURFACE_FACTOR_MIN = 1.2
 """Less is within what the spread of correlated residuals tells, and changes weights by less than a half."""
 
@@ -409,8 +384,7 @@ def _reweight_stripes(problem: Problem, geometry: Geometry) -> tuple[Geometry, f
         return problem.solve(geometry, TOLERANCE), 1.0
     weights.correlation = own * _ALMOST_NOTHING
     alone = problem.marks_cost(problem.solve(geometry, 1e-6))
-    poses = np.unique(problem.corners.pose).size
-    shared = float((problem.unknowns.camera >= 0).sum() + 3 * poses)
+    shared = float((problem.unknowns.camera >= 0).sum() + 3 * np.unique(problem.corners.pose).size)
     weights.correlation, conflict = own, 1.0
     for _ in range(_REWEIGHT_ROUNDS):
         geometry = problem.solve(geometry, TOLERANCE)
@@ -422,11 +396,9 @@ def _reweight_stripes(problem: Problem, geometry: Geometry) -> tuple[Geometry, f
     return geometry, conflict
 
 
-_ALMOST_NOTHING = 1e6
-"""Times less, so that stripes do not move the camera: marks alone count."""
-_REWEIGHT_ROUNDS = 6
-"""Each round divides the weight by up to ten: a million in all."""
-_RAYLEIGH = 1.0 / (np.sqrt(np.log(2.0)) * _MAD_TO_STD)
+_ALMOST_NOTHING = 1e6  # times less, so that stripes do not move the camera: marks alone count
+_REWEIGHT_ROUNDS = 6  # each round divides the weight by up to ten: a million in all
+_RAYLEIGH = 1.0 / (np.sqrt(np.log(2.0)) * MAD_TO_STD)
 """The median of √((x² + y²)/2) of normal x and y is √(ln 2) of their standard deviation."""
 
 
@@ -434,18 +406,16 @@ def _correlation(off: Floats, points: StripePoints, weights: Weights) -> float:
     """1 + 2 Σ ρ over the lags along a stripe up to the first that is not significant."""
     order = np.lexsort((points.row_px, points.stripe, points.pose))
     order = order[weights.stripe[order] > 0]
-    pose, stripe, row = points.pose[order], points.stripe[order], points.row_px[order]
-    value = off[order]
-    if value.size < 100:
+    pose, stripe, row, value = (of[order] for of in (points.pose, points.stripe, points.row_px, off))
+    if value.size < _CORRELATED_MIN:
         return 1.0
-    square = float((value**2).mean())
     apart = np.diff(row)[(np.diff(pose) == 0) & (np.diff(stripe) == 0)]
     step = float(np.median(apart)) if apart.size else 1.0
-    factor = 1.0
+    square, factor = float((value**2).mean()), 1.0
     for lag in range(1, _LAGS + 1):
         together = (pose[lag:] == pose[:-lag]) & (stripe[lag:] == stripe[:-lag])
         together &= row[lag:] - row[:-lag] <= (lag + 0.5) * step
-        if together.sum() < 100:
+        if together.sum() < _CORRELATED_MIN:
             break
         share = float((value[lag:] * value[:-lag])[together].mean()) / square
         if share < 2.0 / np.sqrt(together.sum()):
@@ -454,9 +424,12 @@ def _correlation(off: Floats, points: StripePoints, weights: Weights) -> float:
     return factor
 
 
+_CORRELATED_MIN = 100  # points, or pairs of them, from which a correlation is known to a tenth
+
+
 def _spread(distance: Floats) -> float:
     """Standard deviation by the median; 1 where there is nothing."""
-    return _MAD_TO_STD * float(np.median(distance)) if distance.size else 1.0
+    return MAD_TO_STD * float(np.median(distance)) if distance.size else 1.0
 
 
 _Rows = TypeVar("_Rows", Corners, StripePoints, Feet)
@@ -464,44 +437,32 @@ _Rows = TypeVar("_Rows", Corners, StripePoints, Feet)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Measured:
-    """What was seen, where the adjustment starts, and what it looks for."""
+    """What was seen, where the adjustment starts, and what it looks for: the arguments of `adjust`."""
 
     start: Geometry
     unknowns: Unknowns
-    """start, unknowns: see `adjust`."""
-    corners: Corners
-    points: StripePoints
-    feet: Feet
-    """corners, points, feet: what was seen."""
-    foot_std_mm: float | Floats
+    corners: Corners = NO_CORNERS
+    points: StripePoints = NO_POINTS
+    feet: Feet = NO_FEET
+    foot_std_mm: float | Floats = 0.01
     """Standard uncertainty of the feet's heights, mm: of all, or of each."""
-    edges: Edges = field(default_factory=no_edges)
-    """What was seen of solids' edges."""
+    edges: Edges = NO_EDGES
 
     def adjusted(self) -> Adjusted:
         """Adjust; raises as `adjust`."""
-        return adjust(
-            self.start,
-            self.unknowns,
-            self.corners,
-            self.points,
-            self.feet,
-            foot_std_mm=self.foot_std_mm,
-            edges=self.edges,
-        )
+        seen = self.corners, self.points, self.feet
+        return adjust(self.start, self.unknowns, *seen, foot_std_mm=self.foot_std_mm, edges=self.edges)
 
     def robust_prefit(self) -> Geometry:
         """Adjust robustly and not to the last digit; raises as `adjust`."""
         return robust_prefit(self.problem(None), self.start)
 
-    def stepped(self, found: Adjusted) -> Geometry:
-        """Give where what was found goes if this was seen instead: one step, the weights as they were."""
-        return self.step_of(found)[0]
-
     def step_of(self, found: Adjusted) -> tuple[Geometry, Floats]:
-        """Give where that step goes, and the covariance of all unknowns."""
-        problem = self.problem(found)
-        normal, gradient = problem.normal(found.geometry)
+        """Give where what was found goes if this was seen instead, and the covariance of all unknowns.
+
+        By one step, the weights as they were.
+        """
+        normal, gradient = self.problem(found).normal(found.geometry)
         covariance = inverse(normal)
         return self.unknowns.moved(found.geometry, -covariance @ gradient), covariance
 
@@ -509,38 +470,25 @@ class Measured:
         """Give what is to be solved, weighted as it was found; None: before anything is known."""
         weights = Weights(1.0, 1.0, np.ones(self.corners.pose.size), np.ones(self.points.pose.size))
         if found is not None:
+            used = found.corner_used.astype(np.float64), found.stripe_used.astype(np.float64)
+            correlation = found.correlation * found.conflict
             weights = Weights(
-                found.corner_std_px,
-                found.stripe_scale,
-                found.corner_used.astype(np.float64),
-                found.stripe_used.astype(np.float64),
-                robust=False,
-                correlation=found.correlation * found.conflict,
+                found.corner_std_px, found.stripe_scale, *used, robust=False, correlation=correlation
             )
-        return Problem(
-            self.unknowns, self.corners, self.points, self.feet, self.foot_std_mm, weights, self.edges
-        )
+        seen = self.corners, self.points, self.feet
+        return Problem(self.unknowns, *seen, self.foot_std_mm, weights, self.edges)
 
     def of(self, poses: Integers, start: Geometry) -> Measured:
         """Give what boards in some poses (ascending) and the bare belt show, from another start."""
         feet = np.isin(self.feet.pose, poses)
-        found = unknowns_of(
-            replace(start, rotation=start.rotation[poses], shift=start.shift[poses]),
-            free_camera=self.unknowns.camera >= 0,
-            planes=bool((self.unknowns.planes >= 0).any()),
-            belt=bool((self.unknowns.belt >= 0).any()),
-            travel=bool((self.unknowns.travel >= 0).any()),
-            bend=bool(self.unknowns.bend.size),
-            prints=self.unknowns.prints >= 0,
-        )
+        start = replace(start, rotation=start.rotation[poses], shift=start.shift[poses])
         return Measured(
-            replace(start, rotation=start.rotation[poses], shift=start.shift[poses]),
-            found,
+            start,
+            self.unknowns.of(start, self.unknowns.prints >= 0),
             chosen(self.corners, np.isin(self.corners.pose, poses), poses),
             chosen(self.points, np.isin(self.points.pose, [ON_BELT, *poses]), poses),
             chosen(self.feet, feet, poses),
             self.foot_std_mm if isinstance(self.foot_std_mm, float) else self.foot_std_mm[feet],
-            no_edges(),
         )
 
 
@@ -558,18 +506,13 @@ def _disagreement(problem: Problem, geometry: Geometry) -> float:
     At the minimum these pulls cancel. With R a pose's share of the normal matrix, its own unknowns
     eliminated, and N the sum of all, independent noise gives its pull r the covariance R − R N⁻¹ R.
     """
-    from scipy.linalg import LinAlgError, cholesky, solve_triangular
+    from scipy.linalg import solve_triangular
 
     unknowns = problem.unknowns
     shared = np.setdiff1d(np.arange(unknowns.count), unknowns.poses)
     numbers = [ON_BELT, *range(len(unknowns.poses))]
     parts = np.array([_shared_part(problem, geometry, pose, shared) for pose in numbers])
-    total = parts[:, :, :-1].sum(axis=0)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(total), np.finfo(np.float64).tiny))
-    try:
-        root = cholesky(total * scale[:, None] * scale, lower=True)
-    except LinAlgError as error:
-        raise _undetermined() from error
+    (root, _), scale = _factored(parts[:, :, :-1].sum(axis=0))
     pulled = expected = 0.0
     for part in parts[1:]:
         white = solve_triangular(root, scale[:, None] * part, lower=True)
@@ -582,21 +525,19 @@ def _disagreement(problem: Problem, geometry: Geometry) -> float:
 def _shared_part(problem: Problem, geometry: Geometry, pose: int, shared: Integers) -> Floats:
     """Give a pose's normal matrix and gradient of the shared unknowns, side by side, without its own."""
     corners, points, feet = (rows.pose == pose for rows in (problem.corners, problem.points, problem.feet))
-    weights = problem.weights
-    std_mm = problem.foot_std_mm
-    of_pose = replace(
-        problem,
-        corners=chosen(problem.corners, corners),
-        points=chosen(problem.points, points),
-        feet=chosen(problem.feet, feet),
-        foot_std_mm=std_mm if np.ndim(std_mm) == 0 else np.asarray(std_mm)[feet],
-        weights=replace(weights, corner=weights.corner[corners], stripe=weights.stripe[points]),
-        edges=problem.edges if pose == ON_BELT else no_edges(),
+    weights, std_mm = problem.weights, problem.foot_std_mm
+    of_pose = Problem(
+        problem.unknowns,
+        chosen(problem.corners, corners),
+        chosen(problem.points, points),
+        chosen(problem.feet, feet),
+        std_mm if isinstance(std_mm, float) else std_mm[feet],
+        replace(weights, corner=weights.corner[corners], stripe=weights.stripe[points]),
+        problem.edges if pose == ON_BELT else NO_EDGES,
     )
     normal, gradient = of_pose.normal(geometry)
     both = np.column_stack([normal, gradient])
     own = np.empty(0, np.int64) if pose == ON_BELT else problem.unknowns.poses[pose]
-    own = own[own >= 0]
     gone = np.linalg.solve(normal[np.ix_(own, own)], both[own])
     return np.asarray((both - normal[:, own] @ gone)[np.ix_(shared, np.append(shared, -1))])
 
@@ -615,18 +556,9 @@ def chosen(rows: _Rows, keep: Flags, poses: Integers | None = None) -> _Rows:
 def add_rows(
     columns: Integers, values: Floats, residual: Floats, weight: Floats, normal: Floats, gradient: Floats
 ) -> None:
-    """Add rows of a sparse Jacobian to JᵀWJ and JᵀWr.
+    """Add rows of a sparse Jacobian to JᵀWJ (n, n), of which the lower triangle alone, and JᵀWr (n,).
 
-    Parameters
-    ----------
-    columns
-        (row, k) which parameter each value belongs to; −1 for none.
-    values
-        (row, k) derivatives.
-    residual, weight
-        (row,) of each row.
-    normal, gradient
-        (n, n) and (n,); added to. Of `normal` the lower triangle alone.
+    `columns` (row, k) says which parameter each of the derivatives `values` (row, k) belongs to, −1 for none.
     """
     for row in range(columns.shape[0]):
         w = weight[row]

@@ -1,4 +1,16 @@
-"""Calibration of camera, planes of light and belt from a board in many poses, in one joint adjustment."""
+"""Calibration of camera, planes of light and belt from a board in many poses, in one joint adjustment.
+
+Where nothing flat and level can be laid under the stripes, the direction of gravity g in the camera's frame,
+as an inclinometer on the camera shows it, says how heights point, and the middle c of one board says where
+they begin. That middle lies on the sight r, in the board's plane b·X = 1, so c = r/(b·r), and the level plane
+through it is
+
+    b'·X = 1,   b' = g (b·r)/(g·r):
+
+linear in b, whose covariance goes through it. What the inclinometer is uncertain by, in both directions
+across g, comes on top. Assumed: the inclinometer and the camera's axes are aligned, or their angle is in its
+uncertainty.
+"""
 
 from __future__ import annotations
 
@@ -13,21 +25,13 @@ from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet, CameraFit, Evidence, ImageFinding
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import ON_BELT, ON_BOARD, Calibration
-from roemetry.stages import Calibrator, Capabilities
-from roemetry_pinhole.board_options import BoardOptions
+from roemetry.stages import Calibrator, Capabilities, StageOptions
 from roemetry_pinhole.boards import Seen
-from roemetry_pinhole.findings import findings_of
+from roemetry_pinhole.bundle import Adjusted
+from roemetry_pinhole.findings import findings_of, target_views
 from roemetry_pinhole.joint import Joint, camera_alone, joint, of_planes, planes_by_solids
 from roemetry_pinhole.known_files import read_planes
-from roemetry_pinhole.levelling import levelled
-from roemetry_pinhole.pinhole_plane import (
-    METHOD,
-    covariance_of,
-    displacements,
-    parameters_of,
-    rest_polynomials,
-    view_of,
-)
+from roemetry_pinhole.pinhole_plane import METHOD, covariance_of, derived, parameters_of
 from roemetry_pinhole.scale import (
     check_beside_solids,
     check_scale,
@@ -36,8 +40,25 @@ from roemetry_pinhole.scale import (
     rescaled,
     scaled_by_references,
 )
-from roemetry_pinhole.target_views import target_views
 from roemetry_pinhole.verdict import evidence_of, judged
+
+
+class BoardOptions(StageOptions):
+    """What is looked for, and what of a board's print is used."""
+
+    lens: Literal["none", "radial", "brown", "rational"] = Field(
+        default="brown",
+        description="lens model: none; k1 k2; k1 k2 p1 p2 k3; or with k4 k5 k6 for very wide angles",
+    )
+    print_contrast_max: float = Field(
+        default=0.25,
+        ge=0,
+        le=1,
+        description="largest contrast of the print under the light, (light − dark)/(light + dark), to use it",
+    )
+    height_max_mm: float | None = Field(
+        default=None, gt=0, description="greatest height to be measured, mm; none: what the boards reached"
+    )
 
 
 class PinholeCalibratorOptions(BoardOptions):
@@ -49,8 +70,7 @@ class PinholeCalibratorOptions(BoardOptions):
         "--camera-only` writes it, or a calibration",
     )
     planes: Path | None = Field(
-        default=None,
-        description="OpenCV file with known planes of light: rows A, B, C, D, camera frame, mm",
+        default=None, description="OpenCV file with known planes of light: rows A, B, C, D, camera frame, mm"
     )
     planes_form: Literal["Ax+By+Cz+D=0", "Ax+By+Cz-D=0"] = Field(
         default="Ax+By+Cz+D=0", description="what a row of the file of planes means"
@@ -98,27 +118,28 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
     def calibrate(self, observed: CalibrationSet) -> Calibration:
         """Calibrate.
 
-        Raises
-        ------
-        CalibrationError
-            No board is described or seen, too few poses or too little variety, a stripe on fewer than two
-            boards, no belt, a scale that two targets contradict, planes that do not agree, or residuals that
-            are no noise; with what was left out and why.
+        Raises CalibrationError: no board is described or seen, too few poses or too little variety, a stripe
+        on fewer than two boards, no belt, a scale that two targets contradict, planes that do not agree, or
+        residuals that are no noise; with what was left out and why.
         """
+
+        def made(some: CalibrationSet) -> Calibration:
+            return self._made(self._joint(some), some, lengths=True)
+
         if self.options.scale == "free":
             return scaled_by_references(
                 self._joint(observed), observed, lambda scaled: self._made(scaled, observed, lengths=False)
             )
         if not planes_by_solids(observed) or self.options.planes is not None:
-            calibration = self._calibrated(observed)
+            calibration = made(observed)
             return replace(calibration, **check_scale(calibration, observed, self._joint(observed)))
         try:
-            calibration = self._calibrated(observed)
+            calibration = made(observed)
         except CalibrationError:
             # solids that contradict each other spoil the fit of all: then that is the reason to give
-            check_solids(observed, self._calibrated)
+            check_solids(observed, made)
             raise
-        return replace(calibration, **check_beside_solids(calibration, observed, self._calibrated))
+        return replace(calibration, **check_beside_solids(calibration, observed, made))
 
     def camera(self, observed: CalibrationSet) -> CameraFit:
         """Find camera and lens alone; CalibrationError for too few poses, or poses too much alike."""
@@ -135,9 +156,6 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
         if self.options.scale == "free" and joined.board is not None:
             joined = rescaled(joined, float(calibration.target["pitch_mm"]) / joined.board.pitch_mm)
         return replace(evidence_of(joined, calibration), views=target_views(joined, observed, calibration))
-
-    def _calibrated(self, observed: CalibrationSet) -> Calibration:
-        return self._made(self._joint(observed), observed, lengths=True)
 
     def _made(self, joined: Joint, observed: CalibrationSet, *, lengths: bool) -> Calibration:
         """Give the calibration of an adjustment, with the uncertainty of the targets' lengths or without."""
@@ -162,20 +180,17 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             method=METHOD,
             image_size=size,
             turn_deg=observed.observations[0].frame.turn_deg,
-            rest_px=rest_polynomials(parameters, size),
-            displacement_px_per_mm=displacements(parameters, size),
             height_range_mm=(
                 0.0 if on_belt else min(0.0, verdict.height_min_mm),
                 self.options.height_max_mm or verdict.height_max_mm,
             ),
-            parameters=parameters,
             covariance=covariance,
             residuals=verdict.residuals,
             target=_described(joined),
             extractor=dict(observed.extractor),
             notes=(*notes, *joined.seen.notes, *(f"not used: {name}: {why}" for name, why in left_out)),
-            view=view_of(parameters, size),
             reference=ON_BELT if on_belt else ON_BOARD,
+            **derived(parameters, size),
         )
 
     _last: tuple[CalibrationSet, Seen, Joint | CalibrationError] | None = None
@@ -205,22 +220,25 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
                 "gravity says how heights point and not where they begin",
                 hint="name the pose of a board in reference_pose: heights begin at its middle",
             )
+        pose = options.reference_pose
+        if pose is not None and pose.isdigit():
+            pose = str(int(pose))  # as images' names give it: without zeros in front
         found = joint(
             observed,
             seen,
-            lens=self.options.lens,
-            camera_file=self.options.camera,
-            print_contrast_max=self.options.print_contrast_max,
-            bent=self.options.flatness == "free",
+            lens=options.lens,
+            camera_file=options.camera,
+            print_contrast_max=options.print_contrast_max,
+            bent=options.flatness == "free",
             planes=self._planes(),
-            reference_pose=_plain_number(self.options.reference_pose),
+            reference_pose=pose,
         )
         if options.gravity is None:
             return found
         number = next(number for number, view in enumerate(found.first.views) if view.on_belt)
-        pose, shape = found.pose[number], found.adjusted.geometry
+        at, shape = found.pose[number], found.adjusted.geometry
         middle = 0.5 * np.append(found.first.views[number].board.size_mm, 0.0)
-        middle_mm = shape.rotation[pose] @ middle + shape.shift[pose]
+        middle_mm = shape.rotation[at] @ middle + shape.shift[at]
         down = np.array(options.gravity)
         return replace(found, adjusted=levelled(found.adjusted, middle_mm, down, options.gravity_std_deg))
 
@@ -228,8 +246,8 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
         """Give the covariance of planes and belt by what the known planes are uncertain by, and a note."""
         angle, offset = self.options.planes_angle_std_deg, self.options.planes_offset_std_mm
         if not (angle or offset):
-            none = joined.adjusted.geometry.planes.size + 3
-            return np.zeros((none, none)), (
+            size = joined.adjusted.geometry.planes.size + 3
+            return np.zeros((size, size)), (
                 "camera and planes of light were read from files and are taken as exact: their uncertainty "
                 "is in no figure; planes_offset_std_mm and planes_angle_std_deg state it"
             )
@@ -255,30 +273,51 @@ def _with(notes: list[str], error: CalibrationError) -> CalibrationError:
     return CalibrationError("\n  ".join([error.message, *notes]), hint=error.hint)
 
 
-def _plain_number(pose: str | None) -> str | None:
-    """Give the pose's number as images' names give it: without zeros in front."""
-    return str(int(pose)) if pose is not None and pose.isdigit() else pose
-
-
 def _described(joined: Joint) -> dict[str, object]:
     board = joined.board
     said: dict[str, object] = {}
     if board is not None:
-        said = {
-            "kind": board.kind,
-            "name": board.name,
-            "columns": board.columns,
-            "rows": board.rows,
-            "pitch_mm": board.pitch_mm,
-            "tolerance_mm": board.tolerance_mm,
-            "poses": len(joined.first.views),
-        }
+        names = ("kind", "name", "columns", "rows", "pitch_mm", "tolerance_mm")
+        said = {name: getattr(board, name) for name in names} | {"poses": len(joined.first.views)}
         layout = joined.first.views[0].marks.layout
         said |= {"layout": layout} if layout else {}
     if joined.solids is not None:
         shapes = joined.solids.shapes
-        said |= {
-            "kind": ", ".join(shape.kind for shape in shapes),
-            "name": ", ".join(shape.name for shape in shapes),
-        }
+        said |= {name: ", ".join(getattr(shape, name) for shape in shapes) for name in ("kind", "name")}
     return said
+
+
+_GRAZING = 0.05  # cosine between gravity and a sight: nearer to level sights, heights would hardly be seen
+
+
+def levelled(adjusted: Adjusted, middle_mm: Floats, gravity: Floats, std_deg: float) -> Adjusted:
+    """Let heights count along gravity, from a board's middle; the belt in `adjusted` is the board's plane.
+
+    `middle_mm` and `gravity`, downwards and of any length, are (3,) in the camera's frame of the turned image
+    (x right, y down, z forward), `std_deg` is the standard uncertainty of gravity's direction, degrees.
+
+    Raises CalibrationError: the camera does not look down onto the level plane.
+    """
+    length = float(np.linalg.norm(gravity))
+    down = gravity / (length or 1.0)
+    sight = middle_mm / np.linalg.norm(middle_mm)
+    drop = float(down @ sight)
+    if not (length > 0.0 and drop > _GRAZING and down[2] > _GRAZING):
+        raise CalibrationError(
+            f"the camera does not look down onto a level plane: gravity is {gravity.tolist()}, the "
+            f"cosine of its angle with the sight of the board {drop:.2f}, with its axis {down[2]:.2f}; "
+            f"both have to be above {_GRAZING}",
+            hint="gravity is the direction downwards in the turned image's camera frame: x right, y down, z "
+            "forward; leave it out to count heights from the plane of the board itself",
+        )
+    turn = np.outer(down, sight) / drop
+    step = np.eye(adjusted.covariance.shape[0])
+    at = adjusted.unknowns.belt
+    step[np.ix_(at, at)] = turn
+    covariance = step @ adjusted.covariance @ step.T
+    across = np.linalg.svd(down[None, :])[2][1:].T  # (3, 2): two directions across gravity
+    scale = float(adjusted.geometry.belt @ sight) / drop
+    moved = np.radians(std_deg) * scale * (across - np.outer(down, sight @ across) / drop)
+    covariance[np.ix_(at, at)] += moved @ moved.T
+    belt = turn @ adjusted.geometry.belt
+    return replace(adjusted, geometry=replace(adjusted.geometry, belt=belt), covariance=covariance)

@@ -11,10 +11,8 @@ import numpy as np
 from roemetry.records import Board, CalibrationSet, Frame, Observation, Peaks
 from roemetry.records.arrays import Flags, Floats
 from roemetry.records.calibration import Calibration
-from roemetry_pinhole.geometry import (
-    turned,
-)
-from roemetry_pinhole.pinhole_plane import METHOD, displacements, rest_polynomials, view_of
+from roemetry_pinhole.geometry import turned
+from roemetry_pinhole.pinhole_plane import METHOD, derived, flat
 
 if TYPE_CHECKING:
     from roemetry.testing import LinearRig
@@ -37,29 +35,41 @@ def calibration_of(rig: LinearRig) -> Calibration:
     return _calibration(rig, _FAR_MM, normal / distance[:, None])
 
 
+@lru_cache(maxsize=4)
 def observed_of(rig: LinearRig) -> CalibrationSet:
     """Give images of a chessboard in many poses, 300 mm from the camera, with peaks that scatter a little.
 
     On the belt the stripes are the rig's; each plane leans so that at belt level its stripe moves as the
     rig's does.
     """
-    return _observed(rig)
-
-
-@lru_cache(maxsize=4)
-def _observed(rig: LinearRig) -> CalibrationSet:
     planes = _near_planes(rig)
-    belt = Observation("belt", _dark(rig, "belt"), rig.peaks(rig.rest_px()).peaks)
-    observations = [belt]
+    observations = [_belt(rig, rig.peaks(rig.rest_px()).peaks)]
     for number in range(_POSES):
         rotation, shift = _pose(number)
-        name = f"pose {number}"
-        image = _image(rig, rotation, shift)
-        plain = Frame(image, role="plain", name=f"{name} plain")
-        lit = Frame(np.maximum(image, _glow(rig)), name=f"{name} laser")
-        observations.append(Observation("board", plain, _peaks(rig, np.empty((0, 2))), name))
-        peaks = _peaks(rig, _crossings(rig, planes, rotation, shift))
-        observations.append(Observation("board", lit, peaks, name))
+        lit = _peaks(rig, _crossings(rig, planes, rotation, shift))
+        observations += _pair(rig, number, rotation, shift, _peaks(rig, np.empty((0, 2))), lit)
+    return _set(rig, observations)
+
+
+def _belt(rig: LinearRig | DotRig, peaks: Peaks) -> Observation:
+    return Observation("belt", Frame(np.zeros((rig.rows, rig.columns), np.uint8), name="belt"), peaks)
+
+
+def _pair(
+    rig: LinearRig | DotRig, number: int, rotation: Floats, shift: Floats, none: Peaks, lit: Peaks | None
+) -> list[Observation]:
+    """Give a pose's images, with the laser off and on; None: off alone, of a board that lies on the belt."""
+    image, name = _image(rig, rotation, shift), f"pose {number}"
+    plain = Frame(image, role="plain", name=f"{name} plain")
+    if lit is None:
+        return [Observation("board_on_belt", plain, none, name)]
+    glow = image.copy()  # any light that an image with the laser off has not
+    glow[::5] = 255
+    laser = Frame(glow, name=f"{name} laser")
+    return [Observation("board", plain, none, name), Observation("board", laser, lit, name)]
+
+
+def _set(rig: LinearRig | DotRig, observations: list[Observation]) -> CalibrationSet:
     return CalibrationSet(tuple(observations), rig.stripes, None, _NEAR_MM, {"use": "exact"}, board=_BOARD)
 
 
@@ -81,7 +91,7 @@ def grid_of(rig: GridRig) -> Calibration:
 
     upright, across = calibration_of(rig), calibration_of(rig.across)
     parameters = {**upright.parameters, ACROSS: across.parameters["planes_per_mm"] @ TURN}
-    count = sum(one.size for one in parameters.values())
+    count = flat(parameters).size
     return replace(
         upright, method=GRID, parameters=parameters, covariance=np.zeros((count, count)), across=across
     )
@@ -113,18 +123,15 @@ def _calibration(rig: LinearRig, away_mm: float, planes: Floats) -> Calibration:
         "planes_per_mm": planes,
         "belt_per_mm": np.array([0.0, 0.0, 1.0 / away_mm]),
     }
-    count = sum(array.size for array in parameters.values())
+    count = flat(parameters).size
     return Calibration(
         method=METHOD,
         image_size=size,
         turn_deg=0,
-        rest_px=rest_polynomials(parameters, size),
-        displacement_px_per_mm=displacements(parameters, size),
         height_range_mm=(0.0, 60.0 / abs(rig.px_per_mm)),
-        parameters=parameters,
         covariance=np.zeros((count, count)),
         extractor={"use": "exact"},
-        view=view_of(parameters, size),
+        **derived(parameters, size),
     )
 
 
@@ -166,17 +173,6 @@ def _image(rig: LinearRig, rotation: Floats, shift: Floats) -> np.ndarray:
     return np.asarray(np.rint(light).astype(np.uint8))
 
 
-def _glow(rig: LinearRig) -> np.ndarray:
-    """Any light that an image with the laser off has not."""
-    glow = np.zeros((rig.rows, rig.columns), np.uint8)
-    glow[::5] = 255
-    return glow
-
-
-def _dark(rig: LinearRig, name: str) -> Frame:
-    return Frame(np.zeros((rig.rows, rig.columns), np.uint8), name=name)
-
-
 def _crossings(rig: LinearRig, planes: Floats, rotation: Floats, shift: Floats) -> Floats:
     """Give (peak, 2) row and x of the stripes on the board, sorted."""
     normal = rotation[:, 2]
@@ -187,8 +183,7 @@ def _crossings(rig: LinearRig, planes: Floats, rotation: Floats, shift: Floats) 
         y = (row - rig.middle_row) * rig.mm_per_px / _NEAR_MM
         x = rig.middle_column - (line[1] * y + line[2]) / line[0] * _NEAR_MM / rig.mm_per_px
         place = _places(_rays(rig, x, row), rotation, shift)
-        on = ((place > 0.02) & (place < [_BOARD.columns - 0.02, _BOARD.rows - 0.02])).all(axis=1)
-        on &= (x >= 0) & (x <= rig.columns - 1)
+        on = _on_squares(place) & (x >= 0) & (x <= rig.columns - 1)
         found.append(np.column_stack([row[on], x[on]]))
     stacked = np.concatenate(found)
     stacked[:, 1] += np.random.default_rng(len(stacked)).normal(0.0, _SCATTER_PX, len(stacked))
@@ -217,19 +212,17 @@ def dots_of(rig: DotRig) -> Calibration:
 
     plain = _calibration(rig, _FAR_MM, np.ones((rig.stripes, 3)))
     parameters = {name: one for name, one in plain.parameters.items() if name != "planes_per_mm"}
-    flat = np.concatenate([one.ravel() for one in parameters.values()])
-    return Calibration(
+    count = flat(parameters).size
+    return replace(
+        plain,
         method=DOTS,
-        image_size=plain.image_size,
-        turn_deg=0,
         rest_px=rig.calibration().rest_px,
         displacement_px_per_mm=np.full(rig.stripes, 2.0),
         height_range_mm=(0.0, 25.0),
         parameters=parameters,
-        covariance=np.zeros((flat.size, flat.size)),
-        extractor={"use": "exact"},
+        covariance=np.zeros((count, count)),
         view=dots_view_of(parameters, rig.rays(), plain.image_size),
-        rays=exact_rays(rig.rays(), flat),
+        rays=exact_rays(rig.rays(), flat(parameters)),
     )
 
 
@@ -237,24 +230,16 @@ def dots_of(rig: DotRig) -> Calibration:
 def dots_observed_of(rig: DotRig) -> CalibrationSet:
     """Give a chessboard in many poses under a matrix of dots that scatter a little, and the belt."""
     start, way = _in_camera(rig)
-    level = np.array([0.0, 0.0, 1.0]) / _NEAR_MM
-    observations = [Observation("belt", _dark(rig, "belt"), _met(rig, start, way, level, None))]
-    for number in range(_POSES + 1):
+    level, none = np.array([0.0, 0.0, 1.0]) / _NEAR_MM, rig.dots(np.empty((0, 2)))
+    observations = [_belt(rig, _met(rig, start, way, level, None))]
+    for number in range(_POSES):
         rotation, shift = _pose(number)
-        lies = number == _POSES
-        if lies:
-            half = 0.5 * _BOARD.pitch_mm * np.array([_BOARD.columns, _BOARD.rows, 0.0])
-            rotation, shift = np.eye(3), np.array([0.0, 0.0, _NEAR_MM - _BOARD.thickness_mm]) - half
-        shows, name = "board_on_belt" if lies else "board", f"pose {number}"
-        image = _image(rig, rotation, shift)
-        plain = Frame(image, role="plain", name=f"{name} plain")
-        observations.append(Observation(shows, plain, rig.dots(np.empty((0, 2))), name))
-        if not lies:
-            lit = Frame(np.maximum(image, _glow(rig)), name=f"{name} laser")
-            normal = rotation[:, 2]
-            peaks = _met(rig, start, way, normal / (normal @ shift), (rotation, shift))
-            observations.append(Observation(shows, lit, peaks, name))
-    return CalibrationSet(tuple(observations), rig.stripes, None, _NEAR_MM, {"use": "exact"}, board=_BOARD)
+        normal = rotation[:, 2]
+        lit = _met(rig, start, way, normal / (normal @ shift), (rotation, shift))
+        observations += _pair(rig, number, rotation, shift, none, lit)
+    half = 0.5 * _BOARD.pitch_mm * np.array([_BOARD.columns, _BOARD.rows, 0.0])
+    shift = np.array([0.0, 0.0, _NEAR_MM - _BOARD.thickness_mm]) - half
+    return _set(rig, observations + _pair(rig, _POSES, np.eye(3), shift, none, None))
 
 
 def _in_camera(rig: DotRig) -> tuple[Floats, Floats]:
@@ -271,9 +256,10 @@ def _met(rig: DotRig, start: Floats, way: Floats, plane: Floats, pose: tuple[Flo
     focal = _NEAR_MM / rig.mm_per_px
     places = at[:, :2] / at[:, 2:] * focal + [rig.middle_column, rig.middle_row]
     if pose is not None:
-        on = (at - pose[1]) @ pose[0][:, :2] / _BOARD.pitch_mm
-        inside: Flags = np.asarray(
-            ((on > 0.02) & (on < [_BOARD.columns - 0.02, _BOARD.rows - 0.02])).all(axis=1)
-        )
-        places = np.where(inside[:, None], places, np.nan)
+        places[~_on_squares((at - pose[1]) @ pose[0][:, :2] / _BOARD.pitch_mm)] = np.nan
     return rig.dots(places, _SCATTER_PX)
+
+
+def _on_squares(place: Floats) -> Flags:
+    """Say which places (n, 2), in pitches, lie on the board's squares."""
+    return np.asarray(((place > 0.02) & (place < [_BOARD.columns - 0.02, _BOARD.rows - 0.02])).all(axis=1))

@@ -3,41 +3,31 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, SATURATED, WIDE, CalibrationSet, Observation, Peaks
-from roemetry.records.arrays import Floats
+from roemetry.records.arrays import Flags, Floats
 from roemetry.records.calibration import Calibration
 from roemetry.records.light import at_height, meet
 from roemetry.records.view import View
 from roemetry.stages import Calibrator, Capabilities
-from roemetry_pinhole.board_options import BoardOptions
 from roemetry_pinhole.boards import Seen, board_views, on_board, on_even_print
+from roemetry_pinhole.calibrator import BoardOptions
 from roemetry_pinhole.dot_lattice import numbered_on_boards, on_belt
-from roemetry_pinhole.dot_rays import (
-    METHOD,
-    DotPoints,
-    FoundRays,
-    adjusted_rays,
-    places_of,
-    rays_of,
-    view_of,
-)
+from roemetry_pinhole.dot_rays import METHOD, DotPoints, adjusted_rays, places_of, rays_of, view_of
 from roemetry_pinhole.geometry import CAMERA, ON_BELT, rays
-from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
-from roemetry_pinhole.joint import marks_and_feet
+from roemetry_pinhole.initial_intrinsics import FirstCamera, belt_under, by_marks, first_camera, free_numbers
 from roemetry_pinhole.known_files import read_camera
 from roemetry_pinhole.pinhole_plane import belt_pose
 
-_ADDED_STD_PX = 0.02
-"""Of every dot, beside its stated error: print and paper are not quite even."""
+_ADDED_STD_PX = 0.02  # of every dot, beside its stated error: print and paper are not quite even
 _FACTOR_MAX = 6.0
 """Times its stated error, that a dot scatters at most: a bent board or a moved projector make it more."""
-_MISSING_MAX = 0.2
-"""Share of rays that may be seen on too few boards."""
+_MISSING_MAX = 0.2  # share of rays that may be seen on too few boards
 _REST_DEGREE = 3
 """Of the polynomial along the rows that a column of dots on the belt gets: it bends as lenses bend lines."""
 
@@ -62,13 +52,11 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
     def calibrate(self, observed: CalibrationSet) -> Calibration:
         """Calibrate.
 
-        Raises
-        ------
-        CalibrationError
-            No board, too few poses, no board on the belt or no image of the empty belt, dots that are not the
-            pattern's, that cannot be numbered or do not agree; with what was left out and why.
+        Raises CalibrationError: no board, too few poses, no board on the belt or no image of the empty belt,
+        dots that are not the pattern's, that cannot be numbered or do not agree; with what was left out and
+        why.
         """
-        options = self.options
+        options, count = self.options, observed.stripe_count * self.options.lines
         if observed.board is None:
             raise CalibrationError("no board is described", hint="add `board:` to the rig file")
         belts = observed.showing("belt")
@@ -87,15 +75,27 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
                 "nothing shows where the belt is",
                 hint="lay the board on the belt and name the image in images.board_on_belt",
             )
-        marks = marks_and_feet(first, free).adjusted()
+        marks = by_marks(first, free, feet=True).adjusted()
         points = self._points(first, belts, observed.stripe_count)
-        found = adjusted_rays(marks, points, observed.stripe_count * options.lines)
-        self._check(found, points)
+        found = adjusted_rays(marks, points, count)
+        missing = int(np.isnan(found.lines[:, 0]).sum())
+        if missing > _MISSING_MAX * count:
+            raise CalibrationError(
+                f"{missing} of {count} dots are seen on too few surfaces to tell their rays",
+                hint="hold the board under all of the pattern, in ten poses and more",
+            )
+        if found.factor > _FACTOR_MAX:
+            raise CalibrationError(
+                f"dots on boards scatter {found.factor:.1f} times as much about their rays as they should",
+                hint="is the board flat, its pitch right? Did projector or camera move between the images?",
+            )
         made, parameters, covariance = rays_of(found, marks.unknowns, observed.stripe_count)
         view = view_of(parameters, made.lines, size)
         rest, displacement = _rest_lines(view, made.lines)
-        on_boards = places_of(found.geometry, points)[found.used, 2]
-        left_out = seen.left_out.items()
+        used = found.used
+        on_boards = places_of(found.geometry, points)[used, 2]
+        flat = made.lines.reshape(-1, 4)[points.ray[used]]
+        off = meet(view, flat, points.xy_px[used], points.covariance_px2[used]).z_mm - on_boards
         return Calibration(
             method=METHOD,
             image_size=size,
@@ -105,80 +105,82 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
             height_range_mm=(0.0, options.height_max_mm or float(np.percentile(on_boards, 99.5))),
             parameters=parameters,
             covariance=covariance,
-            residuals=_figures(found, points, view, made.lines),
+            residuals={
+                "dots_rms_px": float(np.sqrt((found.residual_px[used] ** 2).sum(axis=1).mean() / 2.0)),
+                "dots_std_factor": found.factor,
+                "dots_left_out": 1.0 - float(used.mean()),
+                "dots_per_ray": float(used.sum() / max(count - missing, 1)),
+                "rays_missing": float(missing),
+                "heights_rms_mm": float(np.sqrt((off**2).mean())),
+            },
             target={"kind": observed.board.kind, "name": observed.board.name, "poses": len(first.views)},
             extractor=dict(observed.extractor),
-            notes=(*seen.notes, *(f"not used: {name}: {why}" for name, why in left_out)),
+            notes=(*seen.notes, *(f"not used: {name}: {why}" for name, why in seen.left_out.items())),
             view=view,
             rays=made,
         )
 
     def _points(self, first: FirstCamera, belts: tuple[Observation, ...], columns: int) -> DotPoints:
         """Number the dots of all images."""
-        lies = next(n for n, view in enumerate(first.views) if view.on_belt)
-        normal = first.rotation[lies][:, 2]
-        belt = normal / (normal @ first.shift[lies] + first.views[lies].board.thickness_mm)
-        poses, xy, covariance, parts = [], [], [], []
+        belt = belt_under(first, next(n for n, view in enumerate(first.views) if view.on_belt))
+        parts: list[_Seen] = []
         for one in belts:
-            use = np.flatnonzero((one.peaks.flags & (EDGE | WIDE | SATURATED)) == 0)
-            parts.append((ON_BELT, one.peaks, use, np.ones(use.size, np.bool_), one.frame.name))
+            use = (one.peaks.flags & (EDGE | WIDE | SATURATED)) == 0
+            parts.append(_Seen.of(ON_BELT, one.peaks, use, np.ones(use.size, np.bool_), belt, first.camera))
         for number, view in enumerate(first.views):
             if view.laser is None:
                 continue
             peaks = view.laser.peaks
-            use = (peaks.flags & (EDGE | WIDE | SATURATED)) == 0
             # dots on edges of the print are followed, for the others hang together by them, and not measured
             even = np.ones(len(peaks), np.bool_)
             if view.plain is not None:
                 even = on_even_print(peaks, view.plain.frame, self.options.print_contrast_max)
-            ray = rays(first.camera, _places(peaks))
-            place = on_board(ray[:, :2], first.rotation[number], first.shift[number])
+            sight = rays(first.camera, _places(peaks))[:, :2]
+            place = on_board(sight, first.rotation[number], first.shift[number])
             margin = view.board.margin_mm
-            use &= ((place > -margin) & (place < view.board.size_mm + margin)).all(axis=1)
-            parts.append((number, peaks, np.flatnonzero(use), even[use], view.laser.frame.name))
+            use = ((place > -margin) & (place < view.board.size_mm + margin)).all(axis=1)
+            use &= (peaks.flags & (EDGE | WIDE | SATURATED)) == 0
+            parts.append(_Seen.of(number, peaks, use, even, first.surface(number), first.camera))
         to_belt = belt_pose(belt)
-        in_belt_frame = []
-        for pose, peaks, use, *_ in parts:
-            ray = rays(first.camera, _places(peaks)[use])
-            normal = first.rotation[pose][:, 2]
-            surface = belt if pose == ON_BELT else normal / (normal @ first.shift[pose])
-            place = ray / (ray @ surface)[:, None]
-            in_belt_frame.append(place @ to_belt[:3, :3].T + to_belt[:3, 3])
-        _, peaks, use, _, name = parts[0]
-        at = on_belt(_places(peaks)[use], columns, self.options.lines, name)
+        in_belt_frame = [one.place_mm @ to_belt[:3, :3].T + to_belt[:3, 3] for one in parts]
+        at = on_belt(parts[0].xy_px, columns, self.options.lines, belts[0].frame.name)
         on = at[:, 0] >= 0
         numbers, _ = numbered_on_boards(
-            in_belt_frame[0][on], at[on], in_belt_frame[1:], [_places(p)[u] for _, p, u, *_ in parts[1:]]
+            in_belt_frame[0][on], at[on], in_belt_frame[1:], [one.xy_px for one in parts[1:]]
         )
-        ray_of = []
-        for (pose, peaks, use, even, _), mine in zip(parts, [at, *numbers], strict=True):
-            some = (mine[:, 0] >= 0) & even
-            poses.append(np.full(some.sum(), pose))
-            xy.append(_places(peaks)[use][some])
-            assert peaks.dots is not None
-            covariance.append(peaks.dots.covariance_px2[use][some] + _ADDED_STD_PX**2 * np.eye(2))
-            ray_of.append(mine[some] @ np.array([self.options.lines, 1]))
-        return DotPoints(
-            np.concatenate(poses), np.concatenate(ray_of), np.concatenate(xy), np.concatenate(covariance)
-        )
-
-    def _check(self, found: FoundRays, points: DotPoints) -> None:
-        missing = int(np.isnan(found.lines[:, 0]).sum())
-        if missing > _MISSING_MAX * len(found.lines):
-            raise CalibrationError(
-                f"{missing} of {len(found.lines)} dots are seen on too few surfaces to tell their rays",
-                hint="hold the board under all of the pattern, in ten poses and more",
-            )
-        if found.factor > _FACTOR_MAX:
-            raise CalibrationError(
-                f"dots on boards scatter {found.factor:.1f} times as much about their rays as they should",
-                hint="is the board flat, its pitch right? Did projector or camera move between the images?",
-            )
+        found = []
+        for dots, mine in zip(parts, [at, *numbers], strict=True):
+            some = (mine[:, 0] >= 0) & dots.even
+            ray = mine[some] @ np.array([self.options.lines, 1])
+            covariance = dots.covariance_px2[some] + _ADDED_STD_PX**2 * np.eye(2)
+            found.append((np.full(ray.size, dots.pose), ray, dots.xy_px[some], covariance))
+        return DotPoints(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
 def _places(peaks: Peaks) -> Floats:
     assert peaks.dots is not None
     return np.column_stack([peaks.x_px, peaks.dots.y_px])
+
+
+class _Seen(NamedTuple):
+    """Dots of one image that may be used, of a pose or the belt."""
+
+    pose: int
+    xy_px: Floats
+    covariance_px2: Floats
+    even: Flags
+    """(dot,) Whether the print is even there."""
+    place_mm: Floats
+    """(dot, 3) in the camera's frame."""
+
+    @classmethod
+    def of(cls, pose: int, peaks: Peaks, use: Flags, even: Flags, surface: Floats, camera: Floats) -> _Seen:
+        """Give those to be used; they lie on the surface (3,) p·X = 1."""
+        assert peaks.dots is not None
+        xy_px = _places(peaks)[use]
+        ray = rays(camera, xy_px)
+        place_mm = ray / (ray @ surface)[:, None]
+        return cls(pose, xy_px, peaks.dots.covariance_px2[use], even[use], place_mm)
 
 
 def _rest_lines(view: View, lines: Floats) -> tuple[Floats, Floats]:
@@ -195,19 +197,3 @@ def _rest_lines(view: View, lines: Floats) -> tuple[Floats, Floats]:
         )
         per_mm[column] = float(np.mean(high[:, 0] - low[:, 0]))
     return found, per_mm
-
-
-def _figures(found: FoundRays, points: DotPoints, view: View, lines: Floats) -> dict[str, float]:
-    used = found.used
-    height = places_of(found.geometry, points)[used, 2]
-    flat = lines.reshape(-1, 4)[points.ray[used]]
-    met = meet(view, flat, points.xy_px[used], points.covariance_px2[used])
-    off = met.z_mm - height
-    return {
-        "dots_rms_px": float(np.sqrt((found.residual_px[used] ** 2).sum(axis=1).mean() / 2.0)),
-        "dots_std_factor": found.factor,
-        "dots_left_out": 1.0 - float(used.mean()),
-        "dots_per_ray": float(used.sum() / max(np.isfinite(found.lines[:, 0]).sum(), 1)),
-        "rays_missing": float(np.isnan(found.lines[:, 0]).sum()),
-        "heights_rms_mm": float(np.sqrt((off**2).mean())),
-    }

@@ -15,26 +15,21 @@ turned by more than 45° in the image.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
 from roemetry.errors import CalibrationError
 from roemetry.records.arrays import Floats, Integers
 
-_NEAR = 0.3
-"""Of the step to a neighbour: what lies so near to where it is expected is that neighbour."""
-_FULL = 0.97
-"""Share of the matrix that must be seen on the empty belt."""
+_NEAR = 0.3  # of the step to a neighbour: what lies so near to where it is expected is that neighbour
+_FULL = 0.97  # share of the matrix that must be seen on the empty belt
 _ON_DOT = 0.15
 """Of the spacing: a dot that lies so near to one of the belt, seen from the projector, is the same."""
-_FITS = 0.6
-"""Share of the boards' dots that must lie on dots of the belt: half lie there by chance at 0.35."""
-_OTHER = 0.85
-"""Of the best point's share, that another point may have at most."""
-_PAIRS_MIN = 20
-"""Dots of a board by which an offset is tried."""
-_MEET_MM = 1.0
-"""Lines that pass their common point by more than this do not meet."""
+_FITS = 0.6  # share of the boards' dots that must lie on dots of the belt: half lie there by chance at 0.35
+_OTHER = 0.85  # of the best point's share, that another point may have at most
+_PAIRS_MIN = 20  # dots of a board by which an offset is tried
+_MEET_MM = 1.0  # lines that pass their common point by more than this do not meet
 _OTHER_NUMBERS = 0.1
 """Share of the dots that another point numbers otherwise, from which on it is another numbering."""
 
@@ -84,10 +79,7 @@ def followed(xy_px: Floats) -> Integers:
 def on_belt(xy_px: Floats, columns: int, lines: int, name: str) -> Integers:
     """Number the dots on the empty belt: (n, 2) column and line, −1 of what is none.
 
-    Raises
-    ------
-    CalibrationError
-        The dots that are seen are not the pattern's: of another number, or swapped.
+    Raises CalibrationError: the dots that are seen are not the pattern's: of another number, or swapped.
     """
     at = followed(xy_px)
     seen = at[at[:, 0] >= 0]
@@ -115,22 +107,10 @@ def numbered_on_boards(
 ) -> tuple[list[Integers], Floats]:
     """Number the dots on boards by those on the belt.
 
-    Parameters
-    ----------
-    belt_mm, belt_at
-        (n, 3) places of the belt's dots, and (n, 2) their column and line; Z is 0.
-    boards_mm, boards_px
-        Of each board (m, 3) places of its dots in the same frame, and (m, 2) where they are seen.
-
-    Returns
-    -------
-    tuple
-        Of each board (m, 2) column and line, −1 of what is no dot; and the point the light comes from, (3,).
-
-    Raises
-    ------
-    CalibrationError
-        No point of light explains the boards' dots, or two do.
+    Of the belt's dots (n, 3) places, whose Z is 0, and (n, 2) column and line are given; of each board's
+    (m, 3) places in the same frame, and (m, 2) where they are seen. Gives of each board (m, 2) column and
+    line, −1 of what is no dot, and the point the light comes from, (3,). Raises CalibrationError: no point
+    of light explains the boards' dots, or two do.
     """
     count = belt_at.max(axis=0) + 1
     index = np.full(count, -1)
@@ -143,20 +123,19 @@ def numbered_on_boards(
         if len(at) < _PAIRS_MIN:
             continue
         high = at.max(axis=0)
-        for right in range(-high[0], count[0]):
-            for down in range(-high[1], count[1]):
-                moved = at + np.array([right, down])
-                inside = ((moved >= 0) & (moved < count)).all(axis=1)
-                if inside.sum() < max(_PAIRS_MIN, len(at) // 2):
-                    continue
-                pair = index[moved[inside, 0], moved[inside, 1]]
-                here = place[inside][pair >= 0]
-                point = _meeting(belt_mm[pair[pair >= 0]], here)
-                if point is not None:
-                    points.append(point)
+        for offset in product(range(-high[0], count[0]), range(-high[1], count[1])):
+            moved = at + np.array(offset)
+            inside = ((moved >= 0) & (moved < count)).all(axis=1)
+            if inside.sum() < max(_PAIRS_MIN, len(at) // 2):
+                continue
+            pair = index[moved[inside, 0], moved[inside, 1]]
+            point = _meeting(belt_mm[pair[pair >= 0]], place[inside][pair >= 0])
+            if point is not None:
+                points.append(point)
     everywhere = np.concatenate(boards_mm) if boards_mm else np.empty((0, 3))
     to_lattice = _Lattice(belt_mm, belt_at)
-    shares = np.array([_share(to_lattice, point, everywhere) for point in points])
+    found = [to_lattice.of(point, everywhere) for point in points]
+    shares = np.array([near.mean() for _, near in found])
     if not points or shares.max() < _FITS:
         most = f"{shares.max():.0%}" if len(shares) else "none"
         raise CalibrationError(
@@ -164,40 +143,41 @@ def numbered_on_boards(
             f"lie on dots of the belt (at best {most} of them)",
             hint="did projector or camera move between the images? Does all light come from one projector?",
         )
-    best_point = points[int(shares.argmax())]
-    best = to_lattice.of(best_point, everywhere)
-    for point in (points[n] for n in np.flatnonzero(shares > _OTHER * shares.max())):
-        other = to_lattice.of(point, everywhere)
-        both = best[1] & other[1]
-        if both.any() and (best[0][both] != other[0][both]).any(axis=1).mean() < _OTHER_NUMBERS:
-            continue
-        raise CalibrationError(
-            "the dots on the boards can be numbered in two ways",
-            hint="take boards at more different heights, and tilted",
-        )
-    numbers = []
-    for place in boards_mm:
-        at, near = to_lattice.of(best_point, place)
-        numbers.append(np.where(near[:, None], at, -1))
-    return numbers, best_point
+    best, near = found[int(shares.argmax())]
+    for other, others_near in (found[n] for n in np.flatnonzero(shares > _OTHER * shares.max())):
+        both = near & others_near
+        if not both.any() or (best[both] != other[both]).any(axis=1).mean() >= _OTHER_NUMBERS:
+            raise CalibrationError(
+                "the dots on the boards can be numbered in two ways",
+                hint="take boards at more different heights, and tilted",
+            )
+    ends = np.cumsum([len(place) for place in boards_mm])[:-1]
+    return np.split(best, ends), points[int(shares.argmax())]
 
 
 def _meeting(belt_mm: Floats, board_mm: Floats) -> Floats | None:
     """Give the point in which lines from belt to board meet above both; None if they do not."""
     way = board_mm - belt_mm
-    length = np.linalg.norm(way, axis=1)
-    some = length > 1e-3
+    some = np.linalg.norm(way, axis=1) > 1e-3
     if some.sum() < _PAIRS_MIN:
         return None
-    way, start = way[some] / length[some, None], belt_mm[some]
+    point, off_mm = nearest_point(belt_mm[some], way[some])
+    good = point[2] > board_mm[:, 2].max() and float(np.median(off_mm)) < _MEET_MM
+    return point if good else None
+
+
+def nearest_point(start_mm: Floats, way: Floats) -> tuple[Floats, Floats]:
+    """Give the point nearest to lines through (n, 3) places along (n, 3) ways, and (n,) how far each passes.
+
+    NaN where the lines are parallel.
+    """
+    way = way / np.linalg.norm(way, axis=1)[:, None]
     across = np.eye(3) - way[:, :, None] * way[:, None, :]
     matrix = across.sum(axis=0)
     if np.linalg.cond(matrix) > 1e8:
-        return None
-    point = np.linalg.solve(matrix, (across @ start[:, :, None]).sum(axis=0)[:, 0])
-    off = np.linalg.norm((across @ (point - start)[:, :, None])[..., 0], axis=1)
-    good = point[2] > board_mm[:, 2].max() and float(np.median(off)) < _MEET_MM
-    return point if good else None
+        return np.full(3, np.nan), np.full(len(way), np.nan)
+    point = np.linalg.solve(matrix, (across @ start_mm[:, :, None]).sum(axis=0)[:, 0])
+    return point, np.linalg.norm((across @ (point - start_mm)[:, :, None])[..., 0], axis=1)
 
 
 class _Lattice:
@@ -206,9 +186,8 @@ class _Lattice:
     def __init__(self, belt_mm: Floats, at: Integers) -> None:
         self._middle = belt_mm[:, :2].mean(axis=0)
         self._reach = np.abs(belt_mm[:, :2] - self._middle).max()
-        self._coefficients = np.linalg.lstsq(self._powers(belt_mm[:, :2]), at.astype(np.float64), rcond=None)[
-            0
-        ]
+        powers = self._powers(belt_mm[:, :2])
+        self._coefficients = np.linalg.lstsq(powers, at.astype(np.float64), rcond=None)[0]
         self._count = at.max(axis=0) + 1
 
     def of(self, light_mm: Floats, place_mm: Floats) -> tuple[Integers, np.ndarray]:
@@ -224,7 +203,3 @@ class _Lattice:
     def _powers(self, place_mm: Floats) -> Floats:
         x, y = ((place_mm - self._middle) / self._reach).T
         return np.column_stack([x**i * y**j for i in range(4) for j in range(4 - i)])
-
-
-def _share(lattice: _Lattice, light_mm: Floats, place_mm: Floats) -> float:
-    return float(lattice.of(light_mm, place_mm)[1].mean()) if len(place_mm) else 0.0

@@ -16,6 +16,7 @@ covariances of dot and ray (`roemetry.records.light`).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,23 +29,18 @@ from roemetry.records.light import at_height, meet
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
 from roemetry_pinhole.bundle import Adjusted
+from roemetry_pinhole.dot_lattice import nearest_point
 from roemetry_pinhole.geometry import ON_BELT, Geometry, Unknowns, distort
 from roemetry_pinhole.geometry import rays as sight
-from roemetry_pinhole.pinhole_plane import belt_pose
+from roemetry_pinhole.pinhole_plane import belt_pose, camera_matrix, camera_of, check_size, flat
 
 METHOD = "pinhole-dots"
-_ROUNDS = 3
-"""Gauss–Newton steps: the marks' adjustment is the start, and near."""
-_OFF_MAX = 5.0
-"""Standard deviations beyond which a dot is left out: print under it, or another dot's light."""
-_OFF_LEAST_PX = 0.3
-"""Nearer than this a dot is never left out, px."""
-_SURFACES_MIN = 3
-"""Surfaces that a ray is seen on: two determine it, a third shows whether they agree."""
-_SHARED = 6
-"""Directions in which rays err together beside camera and belt."""
-_UP_MM = 30.0
-"""Height at which a slope's error is compared with a place's, mm: half of what is measured."""
+_ROUNDS = 3  # Gauss–Newton steps: the marks' adjustment is the start, and near
+_OFF_MAX = 5.0  # standard deviations beyond which a dot is left out: print under it, or another dot's light
+_OFF_LEAST_PX = 0.3  # nearer than this a dot is never left out, px
+_SURFACES_MIN = 3  # surfaces that a ray is seen on: two determine it, a third shows whether they agree
+_SHARED = 6  # directions in which rays err together beside camera and belt
+_UP_MM = 30.0  # height at which a slope's error is compared with a place's, mm: half of what is measured
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -69,15 +65,13 @@ class FoundRays:
     lines: Floats
     """(ray, 4) in the belt frame; NaN of rays that are seen on too few surfaces."""
     covariance: Floats
-    """(unknown, unknown) of the marks' unknowns."""
     own: Floats
-    """(ray, 4, 4) covariance with those unknowns held fixed."""
     by_unknown: Floats
-    """(ray, 4, unknown) how rays follow them."""
+    """covariance, own, by_unknown: (unknown, unknown) of the marks' unknowns; (ray, 4, 4) of rays with those
+    held fixed; (ray, 4, unknown) how rays follow them."""
     residual_px: Floats
-    """(point, 2)"""
     used: Flags
-    """(point,)"""
+    """residual_px, used: (point, 2), (point,)"""
     factor: float
     """Noise of the dots over what their covariance states."""
 
@@ -85,15 +79,13 @@ class FoundRays:
 def adjusted_rays(marks: Adjusted, points: DotPoints, count: int) -> FoundRays:
     """Adjust rays, and with them camera, poses and belt.
 
-    Raises
-    ------
-    CalibrationError
-        No ray is seen on enough surfaces.
+    Raises CalibrationError: no ray is seen on enough surfaces.
     """
     geometry, unknowns = marks.geometry, marks.unknowns
     information = np.linalg.inv(marks.covariance)
+    stated: Floats = np.asarray(np.linalg.inv(points.covariance_px2), np.float64)
     used = np.ones(points.ray.size, np.bool_)
-    total, factor = np.zeros(unknowns.count), 1.0
+    total = np.zeros(unknowns.count)
     for step in range(_ROUNDS):
         used &= _often(points, used, count)
         if not used.any():
@@ -102,14 +94,13 @@ def adjusted_rays(marks: Adjusted, points: DotPoints, count: int) -> FoundRays:
                 hint="hold the board under all of the pattern, in ten poses and more",
             )
         lines = _lines_through(geometry, points, used, count)
-        weight: Floats = np.asarray(np.linalg.inv(points.covariance_px2), np.float64)
         for _ in range(2):
             residual, by_ray = _by_ray(geometry, lines, points)
-            lines = lines + _eliminated(by_ray, weight, residual, points.ray, used, count)[0]
+            lines = lines + _eliminated(by_ray, stated, residual, points.ray, used, count)[0]
         residual, by_ray = _by_ray(geometry, lines, points)
-        used, factor = _judged(residual, points, used)
+        used, factor = _judged(residual, points, stated, used)
         used &= _often(points, used, count)
-        weight = np.where(used[:, None, None], weight / factor**2, 0.0)
+        weight = np.where(used[:, None, None], stated / factor**2, 0.0)
         by_unknown = _by_unknown(geometry, unknowns, marks.covariance, lines, points)
         change, own, follow = _eliminated(by_ray, weight, residual, points.ray, used, count, by_unknown)
         # what is left of a dot's residual, and of its derivatives, once its ray has followed
@@ -133,12 +124,11 @@ def rays_of(found: FoundRays, unknowns: Unknowns, stripes: int) -> tuple[Rays, d
     gain = found.covariance[:, free] @ np.linalg.pinv(known, hermitian=True)
     rest = found.covariance - gain @ found.covariance[free]
     size, turned = np.linalg.eigh(0.5 * (rest + rest.T))
-    root = turned * np.sqrt(np.maximum(size, 0.0))
-    weights = np.array([1.0, 1.0, _UP_MM, _UP_MM])
-    moves = found.by_unknown @ root
+    moves = found.by_unknown @ (turned * np.sqrt(np.maximum(size, 0.0)))
     seen = np.isfinite(moves[:, 0, 0])
-    flat = (moves[seen] * weights[:, None]).reshape(-1, root.shape[1])
-    shared = np.linalg.svd(flat, full_matrices=False)[2][:_SHARED].T
+    weights = np.array([1.0, 1.0, _UP_MM, _UP_MM])
+    alike = (moves[seen] * weights[:, None]).reshape(-1, moves.shape[2])
+    shared = np.linalg.svd(alike, full_matrices=False)[2][:_SHARED].T
     by_shared = moves @ shared
     left = moves - by_shared @ shared.T
     own = found.own + left @ left.transpose(0, 2, 1)
@@ -150,54 +140,42 @@ def rays_of(found: FoundRays, unknowns: Unknowns, stripes: int) -> tuple[Rays, d
     covariance = np.eye(at.size + _SHARED)
     covariance[: at.size, : at.size] = 0.0
     covariance[np.ix_(np.flatnonzero(at >= 0), np.flatnonzero(at >= 0))] = known
-    geometry = found.geometry
+    camera = found.geometry.camera
     parameters = {
-        "focal_px": geometry.camera[:2],
-        "principal_px": geometry.camera[2:4],
-        "distortion": geometry.camera[4:],
-        "belt_per_mm": geometry.belt,
+        "focal_px": camera[:2],
+        "principal_px": camera[2:4],
+        "distortion": camera[4:],
+        "belt_per_mm": found.geometry.belt,
         "shared_by_rays": np.zeros(_SHARED),
     }
     shape = (stripes, len(found.lines) // stripes)
-    rays = Rays(
-        found.lines.reshape(*shape, 4),
-        own.reshape(*shape, 4, 4),
-        by_parameter.reshape(*shape, 4, -1),
-        np.concatenate(list(parameters.values())),
-    )
-    return rays, parameters, covariance
-
-
-def view_of(parameters: dict[str, Floats], lines: Floats, image_size: tuple[int, int]) -> View:
-    """Give the camera, and a plane through the rays of each column, belt frame."""
-    focal, middle = parameters["focal_px"], parameters["principal_px"]
-    return View(
-        image_size=image_size,
-        camera_matrix=np.array([[focal[0], 0.0, middle[0]], [0.0, focal[1], middle[1]], [0.0, 0.0, 1.0]]),
-        T_belt_camera=belt_pose(parameters["belt_per_mm"]),
-        planes=np.array([_plane(column) for column in lines]),
-        distortion=parameters["distortion"],
-        projector_mm=_common_point(lines.reshape(-1, 4)),
+    return (
+        Rays(
+            found.lines.reshape(*shape, 4),
+            own.reshape(*shape, 4, 4),
+            by_parameter.reshape(*shape, 4, -1),
+            flat(parameters),
+        ),
+        parameters,
+        covariance,
     )
 
 
-def _plane(lines: Floats) -> Floats:
-    """Give n, d of the plane nearest to rays, normal towards +X."""
-    lines = lines[np.isfinite(lines[:, 0])]
-    points = np.concatenate([at_height(lines, 0.0), at_height(lines, _UP_MM)])
-    middle = points.mean(axis=0)
-    normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
-    normal = normal * (1.0 if normal[0] >= 0.0 else -1.0)
-    return np.append(normal, normal @ middle)
-
-
-def _common_point(lines: Floats) -> Floats:
-    """Give the point nearest to all rays."""
-    lines = lines[np.isfinite(lines[:, 0])]
-    way = np.column_stack([lines[:, 2:], np.ones(len(lines))])
-    way /= np.linalg.norm(way, axis=1)[:, None]
-    across = np.eye(3) - way[:, :, None] * way[:, None, :]
-    return np.linalg.solve(across.sum(axis=0), (across @ at_height(lines, 0.0)[:, :, None]).sum(axis=0)[:, 0])
+def view_of(parameters: Mapping[str, Floats], lines: Floats, image_size: tuple[int, int]) -> View:
+    """Give the camera, a plane through the rays of each column, normal towards +X, and the rays' point."""
+    camera, pose = camera_of(parameters), belt_pose(parameters["belt_per_mm"])
+    planes = []
+    for column in lines:
+        known = column[np.isfinite(column[:, 0])]
+        points = np.concatenate([at_height(known, 0.0), at_height(known, _UP_MM)])
+        middle = points.mean(axis=0)
+        normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
+        normal = normal * (1.0 if normal[0] >= 0.0 else -1.0)
+        planes.append(np.append(normal, normal @ middle))
+    every = lines.reshape(-1, 4)
+    every = every[np.isfinite(every[:, 0])]
+    light_mm = nearest_point(at_height(every, 0.0), np.column_stack([every[:, 2:], np.ones(len(every))]))[0]
+    return View(image_size, camera_matrix(camera), pose, np.array(planes), camera[4:], light_mm)
 
 
 class PinholeDots(Triangulator[StageOptions]):
@@ -208,32 +186,21 @@ class PinholeDots(Triangulator[StageOptions]):
     def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
         """Give a slice for each column of dots, each point in the row its dot lies in.
 
-        Raises
-        ------
-        StageError
-            The calibration has no rays, the map no dots, or they are of another number of stripes or rows.
+        Raises StageError: the calibration has no rays, the map no dots, or they are of another number of
+        stripes or rows.
         """
         rays, dots = calibration.rays, stripes.dots
         if rays is None or dots is None:
             what = "the calibration has no rays" if rays is None else "the stripes are lines, not dots"
             raise StageError(f"{what}: pinhole-dots triangulates dots", hint="calibrate with pinhole-dots")
-        if stripes.stripe_count != calibration.stripe_count:
-            raise StageError(
-                f"{stripes.stripe_count} columns of dots are labelled, the calibration has "
-                f"{calibration.stripe_count}"
-            )
-        if stripes.rows != calibration.image_size[0]:
-            raise StageError(
-                f"the stripes have {stripes.rows} rows, the calibration's images {calibration.image_size[0]}"
-            )
+        check_size(stripes, calibration)
         lines = rays.moved(calibration.parameters)
-        view = view_of(dict(calibration.parameters), lines, calibration.image_size)
+        view = view_of(calibration.parameters, lines, calibration.image_size)
         stripe, row = np.nonzero(np.isfinite(stripes.x_px) & (dots.line >= 0))
         at = dots.line[stripe, row]
         xy_px = np.column_stack([stripes.x_px[stripe, row], dots.y_px[stripe, row]])
-        met = meet(
-            view, lines[stripe, at], xy_px, dots.covariance_px2[stripe, row], rays.covariance[stripe, at]
-        )
+        own = dots.covariance_px2[stripe, row]
+        met = meet(view, lines[stripe, at], xy_px, own, rays.covariance[stripe, at])
         shape = stripes.x_px.shape
         xyz_mm, height_std_mm = np.full((*shape, 3), np.nan), np.full(shape, np.nan)
         xyz_mm[stripe, row] = at_height(lines[stripe, at], met.z_mm)
@@ -257,7 +224,7 @@ class PinholeDots(Triangulator[StageOptions]):
         if calibration.rays is None:
             return calibration.view
         lines = calibration.rays.moved(calibration.parameters)
-        return view_of(dict(calibration.parameters), lines, calibration.image_size)
+        return view_of(calibration.parameters, lines, calibration.image_size)
 
 
 def surface_of(geometry: Geometry, pose: Integers) -> Floats:
@@ -288,8 +255,7 @@ def _predicted(geometry: Geometry, lines: Floats, points: DotPoints) -> Floats:
     return np.asarray(bent * geometry.camera[:2] + geometry.camera[2:4])
 
 
-_RAY_STEPS = np.diag([1e-3, 1e-3, 1e-5, 1e-5])
-"""Steps of a ray's numbers for derivatives: all some 0.003 px."""
+_RAY_STEPS = np.diag([1e-3, 1e-3, 1e-5, 1e-5])  # steps of a ray's numbers for derivatives: all some 0.003 px
 
 
 def _by_ray(geometry: Geometry, lines: Floats, points: DotPoints) -> tuple[Floats, Floats]:
@@ -364,13 +330,12 @@ def _eliminated(
     return step, covariance, -covariance @ follow
 
 
-def _judged(residual: Floats, points: DotPoints, used: Flags) -> tuple[Flags, float]:
+def _judged(residual: Floats, points: DotPoints, stated: Floats, used: Flags) -> tuple[Flags, float]:
     """Say which dots are not far off, and how much more they scatter than their covariance says."""
-    weight = np.linalg.inv(points.covariance_px2)
-    off = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", residual, weight, residual), 0.0))
+    off = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", residual, stated, residual), 0.0))
     known = used & np.isfinite(off)
     # the median of the length of a plane normal error is √(2 ln 2); four numbers of each ray are fitted
     free = max(1.0 - 2.0 * np.unique(points.ray[known]).size / max(known.sum(), 1), 0.1)
     factor = max(float(np.median(off[known])) / np.sqrt(2.0 * np.log(2.0) * free), 1.0)
-    length = np.hypot(residual[:, 0], residual[:, 1])
-    return known & ((off < _OFF_MAX * factor) | (length < _OFF_LEAST_PX)), factor
+    near = np.hypot(residual[:, 0], residual[:, 1]) < _OFF_LEAST_PX
+    return known & ((off < _OFF_MAX * factor) | near), factor

@@ -21,7 +21,7 @@ from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.bundle import Adjusted, Measured
-from roemetry_pinhole.geometry import ON_BELT, Edges, Feet, Geometry, StripePoints, no_edges, unknowns_of
+from roemetry_pinhole.geometry import NO_EDGES, ON_BELT, Edges, Feet, Geometry, StripePoints, unknowns_of
 from roemetry_pinhole.solids import (
     Numbered,
     Shape,
@@ -40,10 +40,8 @@ from roemetry_pinhole.solids import (
 
 _GAP_ROWS_MAX = 3.0
 """Rows between a face's last peak and the next one: over a wider gap the edge may be anywhere."""
-_ON_FACE_MIN = 4
-"""Peaks of a stripe on a face before its end is taken for an edge."""
-_RIM_SHARE = 0.1
-"""Of the solid's extent: within it of a rim, the surface on either side of it counts."""
+_ON_FACE_MIN = 4  # peaks of a stripe on a face before its end is taken for an edge
+_RIM_SHARE = 0.1  # of the solid's extent: within it of a rim, the surface on either side of it counts
 _EDGE_PX = 0.6
 """Standard uncertainty of an edge between two rows, px: rectangular over a row, chamfer and blur as much
 again."""
@@ -58,12 +56,11 @@ class Assigned:
     """Peaks on belt and faces, and ends of faces; by number, so that other lengths can be put in."""
 
     points: StripePoints
-    """Of the adjustment, their `face` not yet given."""
+    edges: Edges
+    """points, edges: of the adjustment; their `face` and `wall` not yet given."""
     solid: Integers
     face: Integers
     """solid, face: (point,) number of the view's solid and of the face on it, −1 on the belt."""
-    edges: Edges
-    """Of the adjustment; `face` and `wall` not yet given."""
     edge_solid: Integers
     edge_face: Integers
     edge_side: Integers
@@ -75,17 +72,19 @@ class Assigned:
     def placed(self, shapes: list[Shape]) -> tuple[StripePoints, Edges]:
         """Give points and edges with the planes of these shapes."""
         plane = np.tile([0.0, 0.0, 1.0, 0.0], (self.face.size, 1))
+        face, wall = (
+            np.empty((self.edge_face.size, 4)),
+            np.tile([1.0, 0.0, 0.0, 0.0], (self.edge_face.size, 1)),
+        )
         for number, shape in enumerate(shapes):
             planes = np.array([one.plane for one in shape.faces])
             mine = (self.solid == number) & (self.face >= 0)
             plane[mine] = planes[self.face[mine]]
-        face, wall = np.empty((self.edge_face.size, 4)), np.empty((self.edge_face.size, 4))
-        for row, (solid, at, side) in enumerate(
-            zip(self.edge_solid, self.edge_face, self.edge_side, strict=True)
-        ):
-            one = shapes[solid].faces[at]
-            face[row] = one.plane
-            wall[row] = one.walls[side] if side >= 0 else (1.0, 0.0, 0.0, 0.0)
+            own = self.edge_solid == number
+            face[own] = planes[self.edge_face[own]]
+            own &= self.edge_side >= 0
+            walls = np.array([one.walls for one in shape.faces])
+            wall[own] = walls[self.edge_face[own], self.edge_side[own]]
         return replace(self.points, face=plane), replace(self.edges, face=face, wall=wall)
 
 
@@ -101,40 +100,25 @@ def assigned(
     rim_share: float,
     points_max: int,
 ) -> Assigned:
-    """Assign peaks to belt and faces.
+    """Assign peaks to belt and faces by a geometry that is nearly right; the solids' poses are its last ones.
 
-    Parameters
-    ----------
-    geometry
-        Nearly right; the solids' poses are the last ones.
-    bare
-        Images of the empty belt.
-    views, shapes
-        Images of solids, and what each shows.
-    first_pose
-        Number of the first solid's pose.
-    image_size
-        Rows and columns.
-    off_share, rim_share
-        How far off a face its points may be, in solid's heights; how far within its rim they must lie, in
-        solid's extents.
-    points_max
-        How many peaks are taken at most: every so many-th.
+    `bare` are images of the empty belt, `views` those of the solids `shapes`, the first of which has the pose
+    `first_pose`. Points may be `off_share` of a solid's height off a face and must lie `rim_share` of its
+    extent within its rim; of more than `points_max` peaks every so many-th is taken.
     """
     every = sum(view.stripe.size for view in [*bare, *views])
     step = max(1, -(-every // points_max))
     points, edges, kept = [], [], 0
     for view in bare:
-        points.append(_rows(view, ON_BELT, np.full(view.stripe.size, 0), np.full(view.stripe.size, _BELT)))
+        points.append(_rows(view, ON_BELT, 0, np.full(view.stripe.size, _BELT)))
         kept += view.stripe.size
     for number, (view, shape) in enumerate(zip(views, shapes, strict=True)):
         pose = first_pose + number
         xyz = _on_solid(geometry, view, pose)
         face, core = _faces(xyz, shape, off_share * shape.height_mm, rim_share * shape.along_mm)
+        use = core & (face != _NOWHERE)
         kept += int((face != _NOWHERE).sum())
-        solid = np.full(view.stripe.size, number)
-        table = _rows(view, pose, solid, np.where(core, face, _NOWHERE))
-        points.append(table[np.where(core, face, _NOWHERE) != _NOWHERE])
+        points.append(_rows(view, pose, number, face)[use])
         edges += [(pose, number, *end) for end in _ends(view, face, xyz[:, 1], shape)]
         middle = (0.5 * (image_size[1] - 1), 0.5 * (image_size[0] - 1))
         edges.append((pose, number, shape.top, -1, *middle, _SOMEWHERE_SHARE * image_size[1]))
@@ -142,25 +126,33 @@ def assigned(
     rims = np.array(edges, np.float64).reshape(-1, 7)
     none = np.empty((len(rims), 4))
     x_px, row_px, std_px = np.ascontiguousarray(table[:, 2:5].T)
-    on = np.where(table[:, 6] < 0, ON_BELT, table[:, 0]).astype(np.int64)
-    found = StripePoints(on, table[:, 1].astype(np.int64), x_px, row_px, std_px, np.zeros(len(table)))
-    of_solid, of_face, side = (rims[:, column].astype(np.int64) for column in (1, 2, 3))
+    pose, stripe, solid, face = table[:, [0, 1, 5, 6]].astype(np.int64).T
+    rim_pose, rim_solid, rim_face, side = rims[:, :4].astype(np.int64).T
     return Assigned(
-        found,
-        table[:, 5].astype(np.int64),
-        table[:, 6].astype(np.int64),
-        Edges(rims[:, 0].astype(np.int64), none, none, rims[:, 4:6], rims[:, 6]),
-        of_solid,
-        of_face,
+        StripePoints(
+            np.where(face < 0, ON_BELT, pose),
+            np.ascontiguousarray(stripe),
+            x_px,
+            row_px,
+            std_px,
+            np.zeros(len(table)),
+        ),
+        Edges(rim_pose, none, none, rims[:, 4:6], rims[:, 6]),
+        solid,
+        face,
+        rim_solid,
+        rim_face,
         side,
         left_share=1.0 - kept / max(every, 1),
     )
 
 
-def _rows(view: Numbered, pose: int, solid: Integers, face: Integers) -> Floats:
+def _rows(view: Numbered, pose: int, solid: int, face: Integers) -> Floats:
     """(peak, 7) pose, stripe, x, row, standard uncertainty, solid, face."""
     same = np.ones(view.stripe.size)
-    return np.column_stack([pose * same, view.stripe, view.x_px, view.row_px, view.std_px, solid, face])
+    return np.column_stack(
+        [pose * same, view.stripe, view.x_px, view.row_px, view.std_px, solid * same, face]
+    )
 
 
 def _on_solid(geometry: Geometry, view: Numbered, pose: int) -> Floats:
@@ -235,10 +227,8 @@ _ROUNDS = (
 extents; how many points."""
 _RIGHTED_FROM = 3
 """Stripes that change places at a rim are told apart only by a geometry that is nearly right."""
-_LIES_STD_MM = 0.01
-"""How well a machined solid lies on the belt, mm."""
-_SURFACE_POINTS_MIN = 12
-"""Points of a stripe on a surface: two such surfaces determine its plane."""
+_LIES_STD_MM = 0.01  # how well a machined solid lies on the belt, mm
+_SURFACE_POINTS_MIN = 12  # points of a stripe on a surface: two such surfaces determine its plane
 _HEIGHT_RELATIVE_MAX = 0.05
 """Of the camera's distance, for the belt's place: with more, the scale itself is open by as much."""
 
@@ -268,23 +258,13 @@ def solids_in(observed: CalibrationSet) -> list[tuple[str, Solid]]:
 def from_solids(
     observed: CalibrationSet, boards: Measured, free_camera: Flags, belt: Floats | None
 ) -> OnSolids:
-    """Find planes and belt.
+    """Find planes and belt from described solids.
 
-    Parameters
-    ----------
-    observed
-        The images; the solids must be described.
-    boards
-        The boards' marks, with the camera and their poses to start with; planes and belt of it do not count.
-    free_camera
-        (12,) which of the camera's numbers are looked for.
-    belt
-        (3,) b·X = 1 where boards on the belt say where it is; else None.
+    `boards` are their marks, with the camera and poses to start with; `free_camera` (12,) says which of the
+    camera's numbers are looked for; `belt` (3,) b·X = 1 is where boards on it say, else None.
 
-    Raises
-    ------
-    CalibrationError
-        A solid is not seen, a stripe is seen on one level only, or the belt is not determined.
+    Raises CalibrationError: a solid is not seen, a stripe is seen on one level only, or the belt is not
+    determined.
     """
     camera, stripes = boards.start.camera, observed.stripe_count
     bare = [numbered(view, camera, stripes) for view in observed.showing("belt")]
@@ -301,14 +281,15 @@ def from_solids(
     if not fits:
         raise refusals[0]
     fit = min(fits, key=_badness)
-    _check_belt(fit)
-    return OnSolids(
-        fit.measured,
-        fit.adjusted,
-        tuple(shape_of(solid) for solid in solids),
-        tuple(_if_longer(fit, solids)),
-        fit.assigned.left_share,
-    )
+    _check_belt(fit.adjusted)
+    longer = []
+    for number, solid in enumerate(solids):
+        for made in toleranced(solid, solid.tolerance_mm / np.sqrt(3.0)):
+            other = [*solids[:number], made, *solids[number + 1 :]]
+            points, edges = fit.assigned.placed([shape_of(one) for one in other])
+            longer.append(replace(fit.measured, points=points, edges=edges).step_of(fit.adjusted)[0])
+    shapes = tuple(shape_of(solid) for solid in solids)
+    return OnSolids(fit.measured, fit.adjusted, shapes, tuple(longer), fit.assigned.left_share)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -351,45 +332,25 @@ def _fitted(
         belt=starts[0].belt,
     )
     size = observed.observations[0].frame.size
+    under = [shape.along_mm * _UNDER for shape in shapes]
     right = views
-    for number, (off_share, rim_share, points_max) in enumerate(_ROUNDS):
+    for number, (off, rim, most) in enumerate(_ROUNDS):
         last = number + 1 == len(_ROUNDS)
         found = assigned(
-            geometry,
-            bare,
-            right,
-            shapes,
-            first_pose,
-            size,
-            off_share=off_share,
-            rim_share=rim_share,
-            points_max=points_max,
+            geometry, bare, right, shapes, first_pose, size, off_share=off, rim_share=rim, points_max=most
         )
         _check_surfaces(found, stripes, views[0].name, _SURFACE_POINTS_MIN if last else 3)
-        measured = _measured(boards, free_camera, geometry, found, shapes, first_pose)
+        points, edges = found.placed(shapes)
+        measured = resting(boards, free_camera, geometry, points, under, first_pose, edges)
         if last:
             break
         geometry = measured.robust_prefit()
-        if number < _RIGHTED_FROM:
-            continue
-        right = [
-            righted(geometry, view, shape, first_pose + place)
-            for place, (view, shape) in enumerate(zip(views, shapes, strict=True))
-        ]
+        if number >= _RIGHTED_FROM:
+            right = [
+                righted(geometry, view, shape, first_pose + place)
+                for place, (view, shape) in enumerate(zip(views, shapes, strict=True))
+            ]
     return _Fit(measured, measured.adjusted(), found)
-
-
-def _measured(
-    boards: Measured,
-    free_camera: Flags,
-    geometry: Geometry,
-    found: Assigned,
-    shapes: list[Shape],
-    first_pose: int,
-) -> Measured:
-    points, edges = found.placed(shapes)
-    under = [shape.along_mm * _UNDER for shape in shapes]
-    return resting(boards, free_camera, geometry, points, under, first_pose, edges)
 
 
 _UNDER = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.0, 0.5, 0.0]])
@@ -403,7 +364,7 @@ def resting(
     points: StripePoints,
     under_mm: list[Floats],
     first_pose: int,
-    edges: Edges | None = None,
+    edges: Edges = NO_EDGES,
 ) -> Measured:
     """Give what boards and solids show together; each solid rests on the belt on three points (3, 3), mm."""
     pose = first_pose + np.repeat(np.arange(len(under_mm)), 3)
@@ -413,27 +374,10 @@ def resting(
         np.concatenate([boards.feet.counts, np.zeros(pose.size)]),
     )
     of_boards = np.broadcast_to(boards.foot_std_mm, boards.feet.pose.shape)
+    std_mm = np.concatenate([of_boards, np.full(pose.size, _LIES_STD_MM)])
     bend = geometry.bend is not None
-    return Measured(
-        geometry,
-        unknowns_of(geometry, free_camera=free_camera, planes=True, belt=True, travel=False, bend=bend),
-        boards.corners,
-        points,
-        feet,
-        np.concatenate([of_boards, np.full(pose.size, _LIES_STD_MM)]),
-        edges or no_edges(),
-    )
-
-
-def _if_longer(fit: _Fit, solids: list[Solid]) -> list[Geometry]:
-    """Adjust again for each length with a tolerance, longer by its standard uncertainty."""
-    found = []
-    for number, solid in enumerate(solids):
-        for longer in toleranced(solid):
-            other = [*solids[:number], longer(solid.tolerance_mm / np.sqrt(3.0)), *solids[number + 1 :]]
-            points, edges = fit.assigned.placed([shape_of(one) for one in other])
-            found.append(replace(fit.measured, points=points, edges=edges).stepped(fit.adjusted))
-    return found
+    unknowns = unknowns_of(geometry, free_camera=free_camera, planes=True, belt=True, bend=bend)
+    return Measured(geometry, unknowns, boards.corners, points, feet, std_mm, edges)
 
 
 def _check_surfaces(found: Assigned, stripes: int, name: str, least: int) -> None:
@@ -452,12 +396,10 @@ def _check_surfaces(found: Assigned, stripes: int, name: str, least: int) -> Non
             )
 
 
-def _check_belt(fit: _Fit) -> None:
+def _check_belt(found: Adjusted) -> None:
     """The belt's distance and tilt must be known well enough for heights, not only nominally."""
-    geometry, unknowns = fit.adjusted.geometry, fit.adjusted.unknowns
-    covariance = fit.adjusted.covariance[np.ix_(unknowns.belt, unknowns.belt)]
-    size = float(np.sqrt(geometry.belt @ geometry.belt))
-    worst = float(np.sqrt(np.linalg.eigvalsh(covariance).max())) / size
+    belt, at = found.geometry.belt, found.unknowns.belt
+    worst = float(np.sqrt(np.linalg.eigvalsh(found.covariance[np.ix_(at, at)]).max() / (belt @ belt)))
     if worst > _HEIGHT_RELATIVE_MAX:
         raise CalibrationError(
             f"what was seen does not tell where the belt is: its place is uncertain by {worst:.0%} of its "

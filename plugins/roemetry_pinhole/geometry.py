@@ -30,10 +30,7 @@ COEFFICIENTS = 8
 
 
 class Distorted(NamedTuple):
-    """Distorted places (n, 2) on the plane at distance 1, and their derivatives.
-
-    `by_place` is (n, 2, 2), `by_coefficient` (n, 2, 8).
-    """
+    """Distorted places (n, 2) on the plane at distance 1, and derivatives (n, 2, 2) and (n, 2, 8)."""
 
     xy: Floats
     by_place: Floats
@@ -61,7 +58,7 @@ def rays(camera: Floats, xy_px: Floats) -> Floats:
 
 
 _POWERS = np.array([(i, degree - i) for degree in (2, 3, 4) for i in range(degree, -1, -1)])
-"""What is of lower order is the pose's."""
+"""Of x and y in each coefficient: what is of lower order is the pose's."""
 BENDS = len(_POWERS)
 """Number of coefficients."""
 
@@ -71,9 +68,9 @@ class Bend:
     """Heights of the print over the board's plane, away from the camera."""
 
     middle_mm: Floats
-    """(2,) where the powers are counted from, on the board."""
     reach_mm: float
-    """Length of which x and y are taken in the powers."""
+    """middle_mm, reach_mm: (2,) where the powers of x and y are counted from, on the board, and the length of
+    which they are taken."""
     coefficients_mm: Floats
     """(12,) of x², xy, y², x³, … y⁴."""
 
@@ -114,10 +111,7 @@ class Bend:
     def _powers(self, place_mm: Floats) -> Floats:
         """(2, 5, n) of x and of y, the powers 0 to 4."""
         from_middle = ((place_mm - self.middle_mm) / self.reach_mm).T
-        powers = np.ones((2, 5, len(place_mm)))
-        for power in range(1, 5):
-            np.multiply(powers[:, power - 1], from_middle, out=powers[:, power])
-        return powers
+        return np.cumprod([np.ones_like(from_middle), *[from_middle] * 4], axis=0).swapaxes(0, 1)
 
 
 CAMERA = 4 + COEFFICIENTS
@@ -133,12 +127,11 @@ class Geometry:
     rotation: Floats
     shift: Floats
     """rotation, shift: (pose, 3, 3) and (pose, 3): to the camera's frame from the board's."""
-    planes: Floats
-    """(stripe, 3) p with p·X = 1, 1/mm: normal over distance. It cannot hold a plane through the camera's
-    centre, and such a plane measures nothing."""
-    belt: Floats
+    planes: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    """(stripe, 3) p with p·X = 1, 1/mm: normal over distance."""
+    belt: Floats = field(default_factory=lambda: np.full(3, np.nan))
     """(3,) the same of the belt; NaN where it is not asked for."""
-    travel: Floats
+    travel: Floats = field(default_factory=lambda: np.zeros(3))
     """(3,) way of the belt per encoder count, mm; 0 where it is not asked for."""
     bend: Bend | None = None
     """Shape of the board's print; None where it is taken to be flat."""
@@ -176,9 +169,20 @@ class Unknowns:
         parts = (self.camera, self.planes, self.belt, self.travel, self.poses, self.bend, self.prints)
         return int(np.concatenate([part.ravel() for part in parts]).max()) + 1
 
+    def of(self, geometry: Geometry, prints: Flags) -> Unknowns:
+        """Number the same unknowns of another geometry, and these of its prints' sizes."""
+        return unknowns_of(
+            geometry,
+            free_camera=self.camera >= 0,
+            planes=bool((self.planes >= 0).any()),
+            belt=bool((self.belt >= 0).any()),
+            travel=bool((self.travel >= 0).any()),
+            bend=bool(self.bend.size),
+            prints=prints,
+        )
+
     def moved(self, geometry: Geometry, step: Floats) -> Geometry:
         """Give the geometry after a step of the unknowns."""
-        turn = _part(step, self.poses[:, :3])
         bend = geometry.bend
         if bend is not None and self.bend.size:
             bend = bend.moved(_part(step, self.bend))
@@ -188,7 +192,7 @@ class Unknowns:
             planes=geometry.planes + _part(step, self.planes),
             belt=geometry.belt + _part(step, self.belt),
             travel=geometry.travel + _part(step, self.travel),
-            rotation=turned(turn) @ geometry.rotation,
+            rotation=turned(_part(step, self.poses[:, :3])) @ geometry.rotation,
             shift=geometry.shift + _part(step, self.poses[:, 3:]),
             bend=bend,
             prints=geometry.prints + _part(step, self.prints) if self.prints.size else geometry.prints,
@@ -199,24 +203,16 @@ def unknowns_of(
     geometry: Geometry,
     *,
     free_camera: Flags,
-    planes: bool,
-    belt: bool,
-    travel: bool,
+    planes: bool = False,
+    belt: bool = False,
+    travel: bool = False,
     bend: bool = False,
     prints: Flags | None = None,
 ) -> Unknowns:
-    """Number the unknowns: the camera's first, poses last.
+    """Number the unknowns, the camera's first, poses last.
 
-    Parameters
-    ----------
-    geometry
-        For its sizes.
-    free_camera
-        (12,) which of the camera's numbers are looked for.
-    planes, belt, travel, bend
-        Whether these are looked for.
-    prints
-        (board, 2) which of the prints' sizes are looked for; None: none.
+    `free_camera` (12,) and `prints` (board, 2; None: none) say which of these numbers are looked for, the
+    others whether all of theirs are.
     """
     start = 0
 
@@ -241,14 +237,9 @@ def unknowns_of(
 
 def turned(vectors: Floats) -> Floats:
     """Give (n, 3, 3) rotations by vectors (n, 3), rad (Rodrigues)."""
-    angle = np.sqrt((vectors**2).sum(axis=1))
-    axis = vectors / np.where(angle > 0, angle, 1.0)[:, None]
-    zero = np.zeros(angle.size)
-    x, y, z = axis.T
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    rotation: Floats = np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross)
-    return rotation
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
 def crossed(a: Floats, b: Floats) -> Floats:
@@ -265,8 +256,7 @@ def _part(step: Floats, at: Integers) -> Floats:
     return np.where(at >= 0, step[np.maximum(at, 0)], 0.0)
 
 
-_BENT_ROUNDS = 3
-"""Of meeting a ray with a bent board: each divides the error by the bend's slope, some 0.01."""
+_BENT_ROUNDS = 3  # of meeting a ray with a bent board: each divides the error by the bend's slope, some 0.01
 
 ON_BELT = -1
 """Pose of stripe points that lie on the bare belt."""
@@ -279,9 +269,9 @@ class Corners:
     pose: Integers
     """(mark,) which pose of the board."""
     board_mm: Floats
-    """(mark, 3) place on the board, mm: x along its columns, y along its rows, z away from the camera."""
     xy_px: Floats
-    """(mark, 2) where it is seen, px."""
+    """board_mm, xy_px: (mark, 3) place on the board, mm: x along its columns, y along its rows, z away from
+    the camera; (mark, 2) where it is seen, px."""
     counts: Floats
     """(mark,) encoder counts the belt has carried the board on since the pose was defined."""
     board: Integers
@@ -293,19 +283,23 @@ class StripePoints:
     """Peaks of stripes on boards and on the belt."""
 
     pose: Integers
-    """(point,) which pose of the board, or `ON_BELT`."""
     stripe: Integers
-    """(point,) which plane of light."""
+    """pose, stripe: (point,) which pose of the board, or `ON_BELT`; which plane of light."""
     x_px: Floats
     row_px: Floats
-    """x_px, row_px: (point,) where the peak is, px."""
     std_px: Floats
-    """(point,) standard uncertainty of `x_px`, px, up to a common factor."""
+    """x_px, row_px, std_px: (point,) where the peak is, px, and its standard uncertainty along x, px, up to a
+    common factor."""
     counts: Floats
     """(point,) as for corners."""
     face: Floats | None = None
     """(point, 4) n and d with n·X = d, mm, in the pose's own frame: the plane of the surface the point lies
     on; None where all lie on boards, whose surface is (0, 0, 1, 0)."""
+
+    @property
+    def xy_px(self) -> Floats:
+        """(point, 2) where the peak is, px."""
+        return np.column_stack([self.x_px, self.row_px])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -366,20 +360,12 @@ def corner_residuals(geometry: Geometry, corners: Corners) -> Floats:
 
 
 def stripe_rows(geometry: Geometry, unknowns: Unknowns, points: StripePoints) -> Rows:
-    """Give seen − predicted along the image row, px.
-
-    Plane of light p·X = 1 and board n·X = δ meet in a line whose rays m keep (δ p − n)·m = 0; on the belt
-    b·X = 1 it is (p − b)·m = 0. The left side over its slope along the row is the way to the predicted
-    place; there, not where the noisy peak is, the derivatives are taken: else they would share its noise.
-    """
+    """Give seen − predicted along the image row, px; derivatives are taken at the predicted place."""
     where = _Lines(geometry, points)
     way = where.way_px(points.x_px)[0]
     more, seen, lens, ray, by_seen, slope = where.way_px(points.x_px - way)
-    focal = geometry.camera[:2]
     values = np.zeros((way.size, CAMERA + 15))
-    values[:, 0:2] = -by_seen * seen / focal
-    values[:, 2:4] = -by_seen / focal
-    values[:, 4:CAMERA] = -(by_seen[:, None, :] @ lens.by_coefficient)[:, 0, :]
+    values[:, :CAMERA] = _by_camera(geometry, seen, lens, by_seen)
     of_plane = (ray * where.plane).sum(axis=1)[:, None]
     turn = of_plane * crossed(where.normal, where.place) - crossed(where.normal, ray)
     board = ~where.on_belt[:, None]
@@ -391,18 +377,20 @@ def stripe_rows(geometry: Geometry, unknowns: Unknowns, points: StripePoints) ->
     poses = np.full((way.size, 6), -1)
     if unknowns.poses.size:
         poses = np.where(board, unknowns.poses[np.maximum(points.pose, 0)], -1)
-    columns = np.column_stack(
-        [
-            columns_of(unknowns.camera, poses, unknowns.travel),
-            unknowns.planes[points.stripe],
-            np.where(board, -1, unknowns.belt),
-        ]
-    )
+    own = columns_of(unknowns.camera, poses, unknowns.travel)
+    columns = np.column_stack([own, unknowns.planes[points.stripe], np.where(board, -1, unknowns.belt)])
     values /= slope[:, None]
     rows = Rows(way + more, columns, values)
     if unknowns.bend.size and where.by_bend is not None:
         rows = _with_more(rows, unknowns.bend, of_plane * where.by_bend / slope[:, None])
     return rows
+
+
+def _by_camera(geometry: Geometry, seen: Floats, lens: Distorted, by_seen: Floats) -> Floats:
+    """Give (n, 12) derivatives of a line's left side by the camera, where the place in the image is fixed."""
+    focal = geometry.camera[:2]
+    by_lens = -(by_seen[:, None, :] @ lens.by_coefficient)[:, 0, :]
+    return np.column_stack([-by_seen * seen / focal, -by_seen / focal, by_lens])
 
 
 def stripe_residuals(geometry: Geometry, points: StripePoints) -> Floats:
@@ -415,7 +403,7 @@ def stripe_residuals(geometry: Geometry, points: StripePoints) -> Floats:
 def plane_distances(geometry: Geometry, points: StripePoints) -> Floats:
     """Give (point,) how far from its plane of light each peak's ray meets board or belt, mm."""
     where = _Lines(geometry, points)
-    ray = rays(geometry.camera, np.column_stack([points.x_px, points.row_px]))
+    ray = rays(geometry.camera, points.xy_px)
     surface = np.where(where.on_belt[:, None], geometry.belt, where.normal)
     away = np.where(where.on_belt, 1.0, where.distance)
     at = ray * (away / (surface * ray).sum(axis=1))[:, None]
@@ -453,8 +441,7 @@ class _Lines:
         """Put in place of a board's plane the one that touches it where the ray meets it."""
         on = np.flatnonzero(~self.on_belt)
         rotation, place = geometry.rotation[points.pose[on]], self.place[on]
-        seen = np.column_stack([points.x_px, points.row_px])[on]
-        ray = rays(self._camera, seen)
+        ray = rays(self._camera, points.xy_px[on])
         normal, distance = self.normal[on], self.distance[on]
         for _ in range(_BENT_ROUNDS):
             at = ray * (distance / (normal * ray).sum(axis=1))[:, None]
@@ -471,14 +458,11 @@ class _Lines:
     def way_px(self, x_px: Floats) -> tuple[Floats, Floats, Distorted, Floats, Floats, Floats]:
         """Give the way to the line along the row, px; place in the bent image, lens, ray, ∂/∂place, slope."""
         focal = self._camera[:2]
-        seen = np.empty((x_px.size, 2))
-        seen[:, 0] = (x_px - self._camera[2]) / focal[0]
-        seen[:, 1] = (self._row_px - self._camera[3]) / focal[1]
+        seen = (np.column_stack([x_px, self._row_px]) - self._camera[2:4]) / focal
         xy = undistort(seen, self._camera[4:], self._straight)
         lens = distort(xy, self._camera[4:])
         self._straight = xy
-        ray = np.ones((x_px.size, 3))
-        ray[:, :2] = xy
+        ray = np.column_stack([xy, np.ones(len(xy))])
         by_seen = by_bent(self._line, lens)
         slope = by_seen[:, 0] / focal[0]
         return (self._line * ray).sum(axis=1) / slope, seen, lens, ray, by_seen, slope
@@ -489,10 +473,7 @@ def by_bent(line: Floats, lens: Distorted) -> Floats:
     a, b, c, d = (lens.by_place[:, i, j] for i in (0, 1) for j in (0, 1))
     area = a * d - b * c
     u, v = line[:, 0] / area, line[:, 1] / area
-    derivatives = np.empty((len(line), 2))
-    derivatives[:, 0] = u * d - v * c
-    derivatives[:, 1] = v * a - u * b
-    return derivatives
+    return np.column_stack([u * d - v * c, v * a - u * b])
 
 
 def foot_rows(geometry: Geometry, unknowns: Unknowns, feet: Feet) -> Rows:
@@ -503,20 +484,8 @@ def foot_rows(geometry: Geometry, unknowns: Unknowns, feet: Feet) -> Rows:
     residual = (1.0 - at @ geometry.belt) / size
     by_belt = -at / size - (residual / size**2)[:, None] * geometry.belt
     values = np.column_stack([crossed(arm, up), up, up * feet.counts[:, None], by_belt])
-    columns = np.column_stack(
-        [
-            unknowns.poses[feet.pose],
-            np.broadcast_to(unknowns.travel, (residual.size, 3)),
-            np.broadcast_to(unknowns.belt, (residual.size, 3)),
-        ]
-    )
-    return Rows(residual, columns.astype(np.int64), values)
-
-
-def foot_residuals(geometry: Geometry, feet: Feet) -> Floats:
-    """Give heights of the boards' undersides over the belt, mm, without derivatives."""
-    at = _placed(geometry, feet.pose, feet.board_mm, feet.counts)[1]
-    return np.asarray((1.0 - at @ geometry.belt) / float(np.sqrt((geometry.belt**2).sum())))
+    columns = columns_of(unknowns.poses[feet.pose], unknowns.travel, unknowns.belt)
+    return Rows(residual, columns, values)
 
 
 def _placed(geometry: Geometry, pose: Integers, board_mm: Floats, counts: Floats) -> tuple[Floats, Floats]:
@@ -539,16 +508,14 @@ def _on_print(geometry: Geometry, corners: Corners) -> Floats:
 
 def _with_more(rows: Rows, unknown: Integers, derivative: Floats) -> Rows:
     """Add the derivatives by further unknowns, the same ones for all rows or others for each."""
-    columns = np.column_stack([rows.columns, np.broadcast_to(unknown, derivative.shape)])
-    return Rows(rows.residual, columns, np.column_stack([rows.values, derivative]))
+    return Rows(rows.residual, columns_of(rows.columns, unknown), np.column_stack([rows.values, derivative]))
 
 
-def columns_of(camera: Integers, poses: Integers, travel: Integers) -> Integers:
-    """Give (row, 21) the columns of camera, pose and travel."""
-    rows = poses.shape[0]
-    return np.column_stack(
-        [np.broadcast_to(camera, (rows, camera.size)), poses, np.broadcast_to(travel, (rows, 3))]
-    ).astype(np.int64)
+def columns_of(*unknown: Integers) -> Integers:
+    """Give (row, …) the columns of unknowns side by side, the same ones for all rows or others for each."""
+    rows = max(len(one) for one in unknown if one.ndim == 2)
+    whole = [np.broadcast_to(one, (rows, one.shape[-1])) for one in unknown]
+    return np.column_stack(whole).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -559,18 +526,26 @@ class Edges:
     """(edge,) which pose of a solid."""
     face: Floats
     wall: Floats
-    """face, wall: (edge, 4) n and d with n·X = d, mm, in the solid's frame: the two planes that meet in the
-    edge."""
+    """face, wall: (edge, 4) n and d with n·X = d, mm, in the solid's frame: two planes meet in the edge."""
     xy_px: Floats
-    """(edge, 2) where a point of the edge is seen, px."""
     std_px: Floats
-    """(edge,) its standard uncertainty across the edge, px."""
+    """xy_px, std_px: (edge, 2) where a point of the edge is seen, px; (edge,) its standard uncertainty across
+    the edge, px."""
 
 
-def no_edges() -> Edges:
-    """Give none."""
-    none, plane = np.empty(0), np.empty((0, 4))
-    return Edges(none.astype(np.int64), plane, plane, np.empty((0, 2)), none)
+_NUMBERS, _WHOLE, _PAIRS = np.empty(0), np.empty(0, np.int64), np.empty((0, 2))
+
+
+NO_CORNERS = Corners(_WHOLE, np.empty((0, 3)), _PAIRS, _NUMBERS, _WHOLE)
+
+
+NO_POINTS = StripePoints(_WHOLE, _WHOLE, _NUMBERS, _NUMBERS, _NUMBERS, _NUMBERS)
+
+
+NO_FEET = Feet(_WHOLE, np.empty((0, 3)), _NUMBERS)
+
+
+NO_EDGES = Edges(_WHOLE, np.empty((0, 4)), np.empty((0, 4)), _PAIRS, _NUMBERS)
 
 
 def edge_rows(geometry: Geometry, unknowns: Unknowns, edges: Edges) -> Rows:
@@ -594,17 +569,15 @@ def edge_rows(geometry: Geometry, unknowns: Unknowns, edges: Edges) -> Rows:
     by_seen = by_bent(line, lens)
     slope = np.sqrt(((by_seen / focal) ** 2).sum(axis=1))
     on_face, on_wall = (face * ray).sum(axis=1)[:, None], (wall * ray).sum(axis=1)[:, None]
-    values = np.zeros((len(ray), CAMERA + 9))
-    values[:, 0:2] = -by_seen * seen / focal
-    values[:, 2:4] = -by_seen / focal
-    values[:, 4:CAMERA] = -(by_seen[:, None, :] @ lens.by_coefficient)[:, 0, :]
-    values[:, CAMERA : CAMERA + 3] = (
+    by_turn = (
         crossed(face, shift) * on_wall
         + to_face[:, None] * crossed(wall, ray)
         - crossed(wall, shift) * on_face
         - to_wall[:, None] * crossed(face, ray)
     )
-    values[:, CAMERA + 3 : CAMERA + 6] = face * on_wall - wall * on_face
+    by_shift = face * on_wall - wall * on_face
+    values = np.zeros((len(ray), CAMERA + 9))
+    values[:, : CAMERA + 6] = np.column_stack([_by_camera(geometry, seen, lens, by_seen), by_turn, by_shift])
     values /= slope[:, None]
     columns = columns_of(unknowns.camera, unknowns.poses[edges.pose], unknowns.travel)
     return Rows((line * ray).sum(axis=1) / slope, columns, values)

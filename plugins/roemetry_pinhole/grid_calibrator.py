@@ -26,10 +26,9 @@ from roemetry.records import CalibrationSet, Peaks
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Calibrator, Capabilities
-from roemetry_pinhole.board_options import BoardOptions
-from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
+from roemetry_pinhole.calibrator import BoardOptions, PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.grid_planes import ACROSS, METHOD, turned_parameters
-from roemetry_pinhole.pinhole_plane import displacements, rest_polynomials, view_of
+from roemetry_pinhole.pinhole_plane import derived, flat
 
 _APART_MAX = 3.0
 """Standard deviations, root mean square over camera and belt, that the families may lie apart."""
@@ -50,10 +49,8 @@ class PinholeGridCalibrator(Calibrator[PinholeGridOptions]):
     def calibrate(self, observed: CalibrationSet) -> Calibration:
         """Calibrate.
 
-        Raises
-        ------
-        CalibrationError
-            As `pinhole-plane` does of either family, which is named; or they tell of different cameras.
+        Raises CalibrationError: as `pinhole-plane` does of either family, which is named; or they tell of
+        different cameras.
         """
         shared = self.options.model_dump(include=set(BoardOptions.model_fields))
         one = PinholeCalibrator(PinholeCalibratorOptions(**shared))
@@ -94,9 +91,11 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
     columns = upright.image_size[1]
     turning = _turning(across.stripe_count, columns)
     back = turning[:, :-1]
-    one = _Found.of(_flat(upright), upright.covariance, upright.stripe_count)
+    one = _Found.of(flat(upright.parameters), upright.covariance, upright.stripe_count)
     other = _Found.of(
-        back @ _flat(across) + turning[:, -1], back @ across.covariance @ back.T, across.stripe_count
+        back @ flat(across.parameters) + turning[:, -1],
+        back @ across.covariance @ back.T,
+        across.stripe_count,
     )
     apart = one.shared - other.shared
     surely = _inverse(one.covariance + other.covariance)
@@ -126,15 +125,11 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
         "belt_per_mm": shared[12:],
         ACROSS: planes[1].reshape(-1, 3),
     }
-    seen, size = turned_parameters(parameters, columns), across.image_size
     return replace(
         upright,
         method=METHOD,
-        parameters=parameters,
         covariance=0.5 * (whole + whole.T),
-        rest_px=rest_polynomials(parameters, upright.image_size),
-        displacement_px_per_mm=displacements(parameters, upright.image_size),
-        view=view_of(parameters, upright.image_size),
+        **derived(parameters, upright.image_size),
         residuals={
             **upright.residuals,
             **{f"across_{name}": figure for name, figure in across.residuals.items()},
@@ -150,11 +145,8 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
         ),
         across=replace(
             across,
-            parameters=seen,
             covariance=back.T @ whole[np.ix_(mine, mine)] @ back,
-            rest_px=rest_polynomials(seen, size),
-            displacement_px_per_mm=displacements(seen, size),
-            view=view_of(seen, size),
+            **derived(turned_parameters(parameters, columns), across.image_size),
         ),
     )
 
@@ -180,10 +172,6 @@ class _Found(NamedTuple):
         gain = with_them @ _inverse(known)
         own = covariance[np.ix_(planes, planes)] - gain @ with_them.T
         return cls(values[shared], known, values[planes], own, gain)
-
-
-def _flat(calibration: Calibration) -> Floats:
-    return np.concatenate([np.ravel(one) for one in calibration.parameters.values()])
 
 
 def _turning(lines: int, columns: int) -> Floats:

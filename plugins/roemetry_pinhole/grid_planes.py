@@ -21,13 +21,7 @@ from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
-from roemetry_pinhole.pinhole_plane import (
-    belt_pose,
-    camera_of,
-    lift_stripes,
-    planes_in_belt_frame,
-    view_of,
-)
+from roemetry_pinhole.pinhole_plane import belt_pose, camera_of, lift_stripes, planes_in_belt_frame, view_of
 
 METHOD = "pinhole-grid"
 ACROSS = "across_planes_per_mm"
@@ -36,14 +30,9 @@ TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def turned_parameters(parameters: Mapping[str, Floats], columns: int) -> dict[str, Floats]:
-    """Give `pinhole-plane`'s parameters of the lines across, for the turned image.
+    """Give `pinhole-plane`'s parameters of the lines across, for the turned image, once `columns` px wide.
 
-    Parameters
-    ----------
-    parameters
-        Of the image as it is, `columns` px wide; `across_planes_per_mm` are the planes.
-    columns
-        Width of the image, px.
+    In `parameters`, of the image as it is, `across_planes_per_mm` are the planes.
     """
     lens = parameters["distortion"].copy()
     lens[2:4] = -lens[3], lens[2]
@@ -67,10 +56,8 @@ class PinholeGrid(Triangulator[StageOptions]):
     def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
         """Give a slice for each stripe, then one for each line across, with a point for each row or column.
 
-        Raises
-        ------
-        StageError
-            There are no lines across, or the map has other numbers of lines or rows than the calibration.
+        Raises StageError: there are no lines across, or the map has other numbers of lines or rows than the
+        calibration.
         """
         across = stripes.across
         if across is None or ACROSS not in calibration.parameters:

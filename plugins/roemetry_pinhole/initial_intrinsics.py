@@ -17,15 +17,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from roemetry.errors import CalibrationError
-from roemetry.records.arrays import Flags, Floats
+from roemetry.records import Board
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.boards import BoardView, Seen
-from roemetry_pinhole.bundle import adjust
-from roemetry_pinhole.geometry import CAMERA, Corners, Feet, Geometry, StripePoints, unknowns_of
+from roemetry_pinhole.bundle import Measured
+from roemetry_pinhole.geometry import CAMERA, Bend, Corners, Feet, Geometry, distort, unknowns_of
+from roemetry_pinhole.pinhole_plane import camera_matrix
 
-_POSES_MIN = 4
-"""Poses of an unknown camera: Zhang's method needs three, a fourth shows which one is wrong."""
-_POSES_MIN_KNOWN = 2
-"""Poses of a known camera: two lines determine each plane of light."""
+_POSES_MIN = 4  # poses of an unknown camera: Zhang's method needs three, a fourth shows which one is wrong
+_POSES_MIN_KNOWN = 2  # poses of a known camera: two lines determine each plane of light
 _TILT_SPREAD_MIN_DEG = 8.0
 """Largest angle between two boards: parallel boards leave focal length and distance undecided (Zhang
 2000)."""
@@ -54,6 +54,11 @@ class FirstCamera:
     rotation: Floats
     shift: Floats
 
+    def surface(self, number: int, under_mm: float = 0.0) -> Floats:
+        """Give (3,) p·X = 1 of a view's board, or of what is so far under its print."""
+        normal = self.rotation[number][:, 2]
+        return np.asarray(normal / (normal @ self.shift[number] + under_mm))
+
 
 def first_camera(
     seen: Seen,
@@ -66,25 +71,11 @@ def first_camera(
 ) -> FirstCamera:
     """Find the camera, or only the poses where the camera is known.
 
-    Parameters
-    ----------
-    seen
-        The poses; what is left out is added to it.
-    image_size
-        Rows and columns.
-    lens
-        Key of `FREE`.
-    known
-        (12,) the camera, if it is known.
-    tried
-        Number of poses there were, for messages.
-    least_if_known
-        Number of poses that are needed where the camera is known.
+    What is left out of the poses is added to `seen`; `lens` is a key of `FREE`, `known` (12,) the camera, if
+    it is known, `tried` the number of poses there were, for messages, and `least_if_known` the number that is
+    needed where the camera is known.
 
-    Raises
-    ------
-    CalibrationError
-        Too few poses, or poses too much alike.
+    Raises CalibrationError: too few poses, or poses too much alike.
     """
     views = list(seen.views)
     least = _POSES_MIN if known is None else least_if_known
@@ -112,8 +103,14 @@ def first_camera(
         for _ in range(2):
             centred = [_without_shift(view, found, number) for number, view in enumerate(views)]
             found = replace(_solved(centred, image_size, lens, known), views=centred)
-    if known is None:
-        _check_variety(found)
+    normal = found.rotation[:, :, 2]
+    spread = float(np.degrees(np.arccos(np.clip((normal @ normal.T).min(), -1.0, 1.0))))
+    if known is None and spread < _TILT_SPREAD_MIN_DEG:
+        raise CalibrationError(
+            f"the poses have no variety: no two boards are tilted against each other by more than "
+            f"{spread:.1f}° ({_TILT_SPREAD_MIN_DEG:g}° is the least)",
+            hint="tilt the board by 20 to 30 degrees, another way in each pose",
+        )
     return found
 
 
@@ -144,29 +141,15 @@ def _solved(
         sane = np.isfinite(guess).all() and 0.2 * max(image_size) < guess[0, 0] < 50.0 * max(image_size)
         camera[:2] = guess[0, 0] if sane else 1.5 * max(image_size)
         camera[2:4] = (image_size[1] - 1) / 2.0, (image_size[0] - 1) / 2.0
-    matrix = np.array([[camera[0], 0.0, camera[2]], [0.0, camera[1], camera[3]], [0.0, 0.0, 1.0]])
+    matrix = camera_matrix(camera)
     rotation, shift = np.empty((len(views), 3, 3)), np.empty((len(views), 3))
     for number, (place, xy) in enumerate(zip(places, seen, strict=True)):
         _, turn, way = cv2.solvePnP(place, xy, matrix, camera[4:], flags=cv2.SOLVEPNP_IPPE)
         rotation[number], shift[number] = cv2.Rodrigues(turn)[0], way.ravel()
-    none = np.empty(0)
-    start = Geometry(camera, rotation, shift, np.empty((0, 3)), np.full(3, np.nan), np.zeros(3))
-    whole = np.empty(0, np.int64)
-    size = [len(view.marks.xy_px) for view in views]
-    corners = Corners(
-        np.repeat(np.arange(len(views)), size),
-        np.concatenate([view.marks.board_mm for view in views]),
-        np.concatenate([view.marks.xy_px for view in views]),
-        np.zeros(sum(size)),
-        np.zeros(sum(size), np.int64),
-    )
-    nothing = StripePoints(whole, whole, none, none, none, none)
-    feet = Feet(whole, np.empty((0, 3)), none)
     # the sixth order and the rational model come in by the joint adjustment: from a start without them it
     # goes to the right minimum
     free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(_SIMPLER[lens])
-    unknowns = unknowns_of(start, free_camera=free, planes=False, belt=False, travel=False)
-    found = adjust(start, unknowns, corners, nothing, feet, foot_std_mm=1.0).geometry
+    found = by_marks(FirstCamera(camera, views, rotation, shift), free).adjusted().geometry
     return FirstCamera(found.camera, views, found.rotation, found.shift)
 
 
@@ -187,8 +170,6 @@ def _without_shift(view: BoardView, found: FirstCamera, number: int) -> BoardVie
 
 def _projected(found: FirstCamera, number: int, places: Floats) -> tuple[Floats, Floats]:
     """Give (n, 2) places in the image, px, and how large a unit of the board's area is there."""
-    from roemetry_pinhole.geometry import distort
-
     at = places @ found.rotation[number].T + found.shift[number]
     lens = distort(at[:, :2] / at[:, 2:], found.camera[4:])
     area = np.linalg.det(lens.by_place) / at[:, 2] ** 3
@@ -203,20 +184,58 @@ def _rms(found: FirstCamera) -> Floats:
     return np.array(rms)
 
 
-def _check_variety(found: FirstCamera) -> None:
-    normal = found.rotation[:, :, 2]
-    spread = float(np.degrees(np.arccos(np.clip((normal @ normal.T).min(), -1.0, 1.0))))
-    if spread < _TILT_SPREAD_MIN_DEG:
-        raise CalibrationError(
-            f"the poses have no variety: no two boards are tilted against each other by more than "
-            f"{spread:.1f}° ({_TILT_SPREAD_MIN_DEG:g}° is the least)",
-            hint="tilt the board by 20 to 30 degrees, another way in each pose",
-        )
-
-
 def reasons(left_out: dict[str, str]) -> str:
     """Give a line for each reason, with the names of all images that share it."""
     names: dict[str, list[str]] = {}
     for name, why in left_out.items():
         names.setdefault(why, []).append(name)
     return "".join(f"\n  {', '.join(those)}: {why}" for why, those in names.items())
+
+
+def by_marks(first: FirstCamera, free: Flags, *, feet: bool = False, bent: Board | None = None) -> Measured:
+    """Give what boards tell of the camera and their poses without any light on them.
+
+    With `feet` those that lie on the belt tell of it, too; `bent`: the shape of this board is looked for.
+    """
+    number, still = np.arange(len(first.views)), np.zeros(len(first.views))
+    lies = [n for n, view in enumerate(first.views) if feet and view.on_belt]
+    belt = belt_under(first, lies[0]) if lies else np.full(3, np.nan)
+    bend = None if bent is None or not first.views else Bend.none(*bent.size_mm.tolist())
+    start = Geometry(first.camera, first.rotation, first.shift, belt=belt, bend=bend)
+    unknowns = unknowns_of(start, free_camera=free, belt=bool(lies))
+    found = Measured(start, unknowns, corners_of(first, number, still))
+    if not lies:
+        return found
+    stand, std_mm = feet_of(first.views, number, still)
+    return replace(found, feet=stand, foot_std_mm=std_mm)
+
+
+def corners_of(first: FirstCamera, pose: Integers, counts: Floats) -> Corners:
+    """Give the marks of all views, each with its pose (view,) and encoder counts (view,)."""
+    marks = [view.marks for view in first.views]
+    size = [len(one.xy_px) for one in marks]
+    return Corners(
+        np.repeat(pose, size).astype(np.int64),
+        np.concatenate([np.empty((0, 3)), *(one.board_mm for one in marks)]),
+        np.concatenate([np.empty((0, 2)), *(one.xy_px for one in marks)]),
+        np.repeat(counts, size),
+        np.repeat([view.number for view in first.views], size).astype(np.int64),
+    )
+
+
+def belt_under(first: FirstCamera, number: int) -> Floats:
+    """Give (3,) b·X = 1 of what the board of a view lies on."""
+    return first.surface(number, first.views[number].board.thickness_mm)
+
+
+def feet_of(views: list[BoardView], pose: Integers, counts: Floats) -> tuple[Feet, Floats]:
+    """Three corners of the underside of each board that lies on the belt; standard uncertainties, mm."""
+    lies = [number for number, view in enumerate(views) if view.on_belt]
+    places, std_mm = [np.empty((0, 3))], []
+    for board in (views[number].board for number in lies):
+        width, height = board.size_mm
+        at = [[0.0, 0.0], [width, 0.0], [0.5 * width, height]]
+        places.append(np.column_stack([at, np.full(3, board.thickness_mm)]))
+        std_mm += [max(board.flatness_mm, 0.005) / np.sqrt(3.0)] * 3
+    feet = Feet(np.repeat(pose[lies], 3).astype(np.int64), np.concatenate(places), np.repeat(counts[lies], 3))
+    return feet, np.array(std_mm)

@@ -10,27 +10,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from roemetry.errors import CalibrationError
 from roemetry.records import Board, CalibrationSet, CameraFit
-from roemetry.records.arrays import Flags, Floats
-from roemetry_pinhole.boards import BoardView, Seen, board_views
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry_pinhole.boards import Seen, board_views
 from roemetry_pinhole.bundle import Adjusted, Measured, with_disagreement
 from roemetry_pinhole.from_solids import OnSolids, from_solids, solids_in
-from roemetry_pinhole.geometry import (
-    CAMERA,
-    Bend,
-    Corners,
-    Feet,
-    Geometry,
-    StripePoints,
-    rays,
-    unknowns_of,
+from roemetry_pinhole.geometry import CAMERA, Bend, Geometry, rays, unknowns_of
+from roemetry_pinhole.initial_intrinsics import (
+    FirstCamera,
+    belt_under,
+    by_marks,
+    corners_of,
+    feet_of,
+    first_camera,
+    free_numbers,
+    reasons,
 )
-from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers, reasons
 from roemetry_pinhole.known_files import read_camera
 from roemetry_pinhole.plates import from_plate
 from roemetry_pinhole.prints import stretched
@@ -41,24 +40,17 @@ _OFF_MAX_PX = 3.0
 tens."""
 
 
-def with_known_planes(observed: CalibrationSet, camera: Floats, planes: Floats) -> Measured:
-    """Give the belt's stripes, to be adjusted with camera and planes as they are.
+def with_known_planes(observed: CalibrationSet, camera: Floats | None, planes: Floats) -> Measured:
+    """Give the belt's stripes, to be adjusted with camera (12,) and planes (stripe, 3) p·X = 1 as they are.
 
-    Parameters
-    ----------
-    observed
-        With images of the empty belt.
-    camera
-        (12,)
-    planes
-        (stripe, 3) p·X = 1, 1/mm, from left to right.
-
-    Raises
-    ------
-    CalibrationError
-        Another number of planes than stripes, one stripe alone, no image of the belt, or the stripes on it
-        do not lie where the planes could meet one belt.
+    Raises CalibrationError: no camera, another number of planes than stripes, one stripe alone, no image of
+    the belt, or the stripes on it do not lie where the planes could meet one belt.
     """
+    if camera is None:
+        raise CalibrationError(
+            "planes of light are given without the camera in whose frame they are",
+            hint="name the camera's file as well: options: {camera: camera.yaml, planes: planes.yaml}",
+        )
     if len(planes) != observed.stripe_count:
         raise CalibrationError(
             f"the file of planes holds {len(planes)}, the rig has {observed.stripe_count} stripes",
@@ -71,13 +63,9 @@ def with_known_planes(observed: CalibrationSet, camera: Floats, planes: Floats) 
             "do not tell its tilt: calibrate with boards",
         )
     points, belt = belt_points(observed.showing("belt"), camera, planes)
-    start = Geometry(camera, np.empty((0, 3, 3)), np.empty((0, 3)), planes, belt, np.zeros(3))
-    unknowns = unknowns_of(
-        start, free_camera=np.zeros(CAMERA, np.bool_), planes=False, belt=True, travel=False
-    )
-    none, whole = np.empty(0), np.empty(0, np.int64)
-    corners = Corners(whole, np.empty((0, 3)), np.empty((0, 2)), none, whole)
-    measured = Measured(start, unknowns, corners, points, Feet(whole, np.empty((0, 3)), none), 0.01)
+    start = Geometry(camera, np.empty((0, 3, 3)), np.empty((0, 3)), planes, belt)
+    unknowns = unknowns_of(start, free_camera=np.zeros(CAMERA, np.bool_), belt=True)
+    measured = Measured(start, unknowns, points=points)
     hint = "are they in the camera's frame, in mm, from left to right, and is `planes_form` right?"
     if belt[2] <= 0:
         raise CalibrationError("by the known planes the belt is behind the camera", hint=hint)
@@ -94,51 +82,29 @@ def of_planes(measured: Measured, found: Adjusted, angle_std_deg: float, offset_
     """Give the covariance, of planes and belt, that the known planes' own uncertainty makes.
 
     Each plane may lean about two axes through the middle of its stripe on the belt, and lie beside that
-    place, all on their own; the belt follows, since it is where the planes and the stripes on it meet.
-
-    Parameters
-    ----------
-    measured, found
-        The adjustment of the belt.
-    angle_std_deg, offset_std_mm
-        Standard uncertainty of each plane's direction about either axis, and of its place along its normal.
-
-    Returns
-    -------
-    ndarray
-        (3 stripe + 3, 3 stripe + 3) of `planes_per_mm` and `belt_per_mm`, flattened.
+    place along its normal, all on their own; the belt follows, since it is where the planes and the stripes
+    on it meet. Gives (3 stripe + 3, 3 stripe + 3) of `planes_per_mm` and `belt_per_mm`, flattened.
     """
-    before = found.geometry
-    mean = np.concatenate([before.planes.ravel(), measured.stepped(found).belt])
+    before, points = found.geometry, measured.points
+    mean = np.concatenate([before.planes.ravel(), measured.step_of(found)[0].belt])
     covariance = np.zeros((mean.size, mean.size))
     for stripe, plane in enumerate(before.planes):
-        middle = _middle(measured, before, stripe)
-        for moved in _moved(plane, middle, np.radians(angle_std_deg), offset_std_mm):
+        mine = points.stripe == stripe
+        ray = rays(before.camera, np.array([[points.x_px[mine].mean(), points.row_px[mine].mean()]]))[0]
+        place = ray / (ray @ before.belt)
+        middle = place - (plane @ place - 1.0) / (plane @ plane) * plane
+        normal = plane / np.sqrt(plane @ plane)
+        one = np.cross(normal, [0.0, 1.0, 0.0])
+        one /= np.sqrt(one @ one)
+        lean = [normal + np.radians(angle_std_deg) * way for way in (one, np.cross(normal, one))]
+        shifted = normal / (normal @ middle + offset_std_mm)
+        for moved in (*(way / (way @ middle) for way in lean), shifted):
             planes = before.planes.copy()
             planes[stripe] = moved
             there = replace(found, geometry=replace(before, planes=planes))
-            way = np.concatenate([planes.ravel(), measured.stepped(there).belt]) - mean
+            way = np.concatenate([planes.ravel(), measured.step_of(there)[0].belt]) - mean
             covariance += np.outer(way, way)
     return covariance
-
-
-def _middle(measured: Measured, geometry: Geometry, stripe: int) -> Floats:
-    """Where a stripe's plane passes the middle of its line on the bare belt, camera frame, mm."""
-    mine = measured.points.stripe == stripe
-    seen = np.array([[measured.points.x_px[mine].mean(), measured.points.row_px[mine].mean()]])
-    ray = rays(geometry.camera, seen)[0]
-    place = ray / (ray @ geometry.belt)
-    plane = geometry.planes[stripe]
-    return np.asarray(place - (plane @ place - 1.0) / (plane @ plane) * plane)
-
-
-def _moved(plane: Floats, middle: Floats, angle: float, offset_mm: float) -> tuple[Floats, Floats, Floats]:
-    """Give p·X = 1 leaned about two axes through a place on it, and moved along its normal."""
-    normal = plane / np.sqrt(plane @ plane)
-    one = np.cross(normal, [0.0, 1.0, 0.0])
-    one /= np.sqrt(one @ one)
-    lean = [normal + angle * way for way in (one, np.cross(normal, one))]
-    return lean[0] / (lean[0] @ middle), lean[1] / (lean[1] @ middle), normal / (normal @ middle + offset_mm)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -150,15 +116,14 @@ class Joint:
     size: tuple[int, int]
     """Rows and columns of the images."""
     seen: Seen
-    """Poses, and by image why others are not used."""
     first: FirstCamera
-    """The views that are used."""
-    pose: np.ndarray
+    """seen, first: poses, and by image why others are not used; the views that are."""
+    pose: Integers
     """(view,) number of the view's pose in the adjustment."""
     print_share: float
-    """Share of the boards' stripe peaks on uneven print, which are not used."""
     stray_share: float
-    """Share of the other stripe peaks that is left out before the adjustment, far off its stripe."""
+    """print_share, stray_share: share of the boards' stripe peaks on uneven print, which are not used, and of
+    the others that is left out before the adjustment, far off its stripe."""
     solids: OnSolids | None
     """What solids on the belt gave, where the planes come from them; else None."""
     measured: Measured
@@ -183,35 +148,21 @@ def joint(
 ) -> Joint:
     """Find everything in the images and adjust it together.
 
-    Parameters
-    ----------
-    observed
-        The images with their peaks.
-    seen
-        Filled with the poses, and by image why others are not used: also where this then fails.
-    lens
-        Name of the lens model.
-    camera_file
-        OpenCV's file with a camera that is known and not looked for.
-    print_contrast_max
-        Largest contrast of the print under a stripe at which its peaks count.
-    bent
-        Whether the board's shape is looked for.
-    planes
-        (stripe, 3) p·X = 1 of planes that are known and not looked for; a camera file is needed then.
-    reference_pose
-        The pose whose board lies in the plane Z = 0, by the number in its image's name; None: the belt is.
-
-    Raises
-    ------
-    CalibrationError
-        As `PinholeCalibrator.calibrate` says.
+    `seen` is filled with the poses, and by image why others are not used, also where this then fails;
+    `camera_file` holds a camera that is known and not looked for, `planes` (stripe, 3) p·X = 1 the same; the
+    rest as among `PinholeCalibrator`'s options. Raises as `PinholeCalibrator.calibrate`.
     """
-    board = observed.board
+    board, size = observed.board, observed.observations[0].frame.size
     by_solids = planes_by_solids(observed)
     known = None if camera_file is None else read_camera(camera_file)
     if planes is not None:
-        return _by_planes(observed, known, planes)
+        measured = with_known_planes(observed, known, planes)
+        start = measured.start
+        first = FirstCamera(start.camera, [], start.rotation, start.shift)
+        none = np.empty(0, np.int64)
+        return Joint(
+            None, size, Seen(), first, none, 0.0, 0.0, None, measured, measured.adjusted(), moves=False
+        )
     if board is None and not (by_solids and known is not None):
         raise CalibrationError(
             "no board is described",
@@ -224,7 +175,6 @@ def joint(
     tried = _poses_tried(observed)
     if not tried and not (by_solids and known is not None):
         raise CalibrationError("there is no image of the board", hint="name them in images.board")
-    size = observed.observations[0].frame.size
     free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(lens)
     while True:
         first = first_camera(seen, size, lens, known, tried, **({"least_if_known": 0} if by_solids else {}))
@@ -264,13 +214,12 @@ def joint(
         None,
         measured,
         adjusted,
-        _moves(counts),
+        bool(np.ptp(counts) > 0),
         tuple(one.frame.name for one in observed.showing("belt")),
     )
 
 
-_PARTS = 8
-"""Parts of the images, of which each is left out once: their spread is known to a quarter."""
+_PARTS = 8  # parts of the images, of which each is left out once: their spread is known to a quarter
 
 
 def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
@@ -280,13 +229,9 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
     the standard uncertainty is that of leaving out runs of consecutive images, where that is larger and there
     are many (delete-group jackknife; Shao, Wu 1989, Ann. Statist. 17:1176).
 
-    Raises
-    ------
-    CalibrationError
-        No board is described, too few poses, or poses too much alike.
+    Raises CalibrationError: no board is described, too few poses, or poses too much alike.
     """
-    board = observed.board
-    if board is None:
+    if observed.board is None:
         raise CalibrationError(
             "no board is described", hint="add `board:` to the rig file: its kind, columns, rows and pitch_mm"
         )
@@ -295,12 +240,17 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
     size = observed.observations[0].frame.size
     first = first_camera(seen, size, lens, None, _poses_tried(observed))
     free, count = free_numbers(lens), len(first.views)
-    found, std = _by_marks(first, free)
+    found = by_marks(first, free).adjusted()
+    at = found.unknowns.camera
+    std = np.where(at >= 0, np.sqrt(np.diag(found.covariance)[np.maximum(at, 0)]), 0.0)
     if count >= 2 * _PARTS:
         part = np.arange(count) * _PARTS // count
-        cameras = [
-            _by_marks(_some(first, part != left_out), free)[0].geometry.camera for left_out in range(_PARTS)
-        ]
+        cameras = []
+        for left_out in range(_PARTS):
+            kept = part != left_out
+            views = [view for view, stays in zip(first.views, kept, strict=True) if stays]
+            some = FirstCamera(first.camera, views, first.rotation[kept], first.shift[kept])
+            cameras.append(by_marks(some, free).adjusted().geometry.camera)
         std = np.maximum(std, np.std(cameras, axis=0) * np.sqrt(_PARTS - 1.0))
     off_px = found.corner_px[found.corner_used]
     return CameraFit(
@@ -313,38 +263,6 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
         images=count,
         left_out=dict(seen.left_out),
     )
-
-
-def _some(first: FirstCamera, kept: Flags) -> FirstCamera:
-    views = [view for view, stays in zip(first.views, kept, strict=True) if stays]
-    return replace(first, views=views, rotation=first.rotation[kept], shift=first.shift[kept])
-
-
-def _by_marks(first: FirstCamera, free: Flags) -> tuple[Adjusted, Floats]:
-    """Adjust camera and poses to the marks; gives the camera's standard uncertainties, too."""
-    count = len(first.views)
-    number, none, nowhere = np.arange(count), np.empty(0), np.empty((0, 3))
-    whole = np.empty(0, np.int64)
-    start = Geometry(first.camera, first.rotation, first.shift, nowhere, np.full(3, np.nan), np.zeros(3))
-    unknowns = unknowns_of(start, free_camera=free, planes=False, belt=False, travel=False)
-    points, feet = StripePoints(whole, whole, none, none, none, none), Feet(whole, nowhere, none)
-    found = Measured(start, unknowns, _corners(first, number, np.zeros(count)), points, feet, 1.0).adjusted()
-    at = unknowns.camera
-    return found, np.where(at >= 0, np.sqrt(np.diag(found.covariance)[np.maximum(at, 0)]), 0.0)
-
-
-def marks_and_feet(first: FirstCamera, free: Flags) -> Measured:
-    """Give what boards tell of camera, poses and belt without any light on them; one must lie on the belt."""
-    number, still = np.arange(len(first.views)), np.zeros(len(first.views))
-    none, whole = np.empty(0), np.empty(0, np.int64)
-    lies = next(view for view in number if first.views[view].on_belt)
-    feet, foot_std_mm = _feet(first.views, number, still)
-    start = Geometry(
-        first.camera, first.rotation, first.shift, np.empty((0, 3)), _under(first, lies), np.zeros(3)
-    )
-    unknowns = unknowns_of(start, free_camera=free, planes=False, belt=True, travel=False)
-    points = StripePoints(whole, whole, none, none, none, none)
-    return Measured(start, unknowns, _corners(first, number, still), points, feet, foot_std_mm)
 
 
 def _poses_tried(observed: CalibrationSet) -> int:
@@ -378,78 +296,23 @@ def planes_by_solids(observed: CalibrationSet) -> bool:
     return (bool(solids_in(observed)) or balls) and not on_boards
 
 
-def _by_planes(observed: CalibrationSet, camera: Floats | None, planes: Floats) -> Joint:
-    """Camera and planes from files; the empty belt tells where it is."""
-    if camera is None:
-        raise CalibrationError(
-            "planes of light are given without the camera in whose frame they are",
-            hint="name the camera's file as well: options: {camera: camera.yaml, planes: planes.yaml}",
-        )
-    measured = with_known_planes(observed, camera, planes)
-    return Joint(
-        None,
-        observed.observations[0].frame.size,
-        Seen(),
-        FirstCamera(camera, [], measured.start.rotation, measured.start.shift),
-        np.empty(0, np.int64),
-        0.0,
-        0.0,
-        None,
-        measured,
-        measured.adjusted(),
-        moves=False,
-    )
-
-
 def _by_solids(
-    observed: CalibrationSet,
-    board: Board | None,
-    seen: Seen,
-    first: FirstCamera,
-    free: np.ndarray,
-    *,
-    bent: bool,
+    observed: CalibrationSet, board: Board | None, seen: Seen, first: FirstCamera, free: Flags, *, bent: bool
 ) -> Joint:
     """Planes from solids on the belt; boards, if there are any, tell the camera, and where the belt is."""
-    number = np.arange(len(first.views))
-    still = np.zeros(len(first.views))
-    whole, none, nowhere = np.empty(0, np.int64), np.empty(0), np.empty((0, 3))
-    belt = None
-    lies = [view for view in number if first.views[view].on_belt]
-    feet: Feet = Feet(whole, nowhere, none)
-    foot_std_mm: float | Floats = 0.01
-    if board is not None and lies:
-        belt = _under(first, lies[0])
-        feet, foot_std_mm = _feet(first.views, number, still)
-    start = Geometry(
-        first.camera,
-        first.rotation,
-        first.shift,
-        nowhere,
-        np.full(3, np.nan),
-        np.zeros(3),
-        bend=_flat(board) if bent and board is not None and first.views else None,
-    )
-    boards = Measured(
-        start,
-        unknowns_of(start, free_camera=free, planes=False, belt=False, travel=False),
-        _corners(first, number, still),
-        StripePoints(whole, whole, none, none, none, none),
-        feet,
-        foot_std_mm,
-    )
+    boards = by_marks(first, free, feet=board is not None, bent=board if bent else None)
+    belt = boards.start.belt if boards.feet.pose.size else None
     plate = observed.sphere_plate
     if solids_in(observed) or plate is None:
         found = from_solids(observed, boards, free, belt)
     else:
         found = from_plate(observed, plate, boards, free, belt)
-    size = observed.observations[0].frame.size
     return Joint(
         board if first.views else None,
-        size,
+        observed.observations[0].frame.size,
         seen,
         first,
-        number,
+        np.arange(len(first.views)),
         0.0,
         found.left_share,
         found,
@@ -463,13 +326,7 @@ _BOARDS = ("board", "board_on_belt")
 
 
 def _measured(
-    first: FirstCamera,
-    gathered: Gathered,
-    pose: np.ndarray,
-    counts: Floats,
-    free: np.ndarray,
-    *,
-    bent: bool,
+    first: FirstCamera, gathered: Gathered, pose: Integers, counts: Floats, free: Flags, *, bent: bool
 ) -> Measured:
     keep = np.unique(pose)
     number = np.searchsorted(keep, pose)
@@ -479,75 +336,39 @@ def _measured(
     sizes = np.zeros((boards.max() + 1 if boards.any() else 0, 2))
     looked_for = np.zeros(sizes.shape, np.bool_)
     if boards.any():
-        looked_for[np.unique(boards[on[on >= 0]]), 0] = True
-        looked_for[0] = False
-        sizes[: len(gathered.sizes), 0] = np.log(gathered.sizes)
-        first = replace(first, shift=first.shift * np.exp(sizes[boards, :1]))
         if bent:
             raise CalibrationError(
                 "the shape of the print is looked for, and there are several boards",
                 hint="leave `flatness: free` out, or name one board",
             )
+        looked_for[np.unique(boards[on[on >= 0]]), 0] = True
+        looked_for[0] = False
+        sizes[: len(gathered.sizes), 0] = np.log(gathered.sizes)
+        first = replace(first, shift=first.shift * np.exp(sizes[boards, :1]))
     start = Geometry(
-        camera=first.camera,
-        rotation=first.rotation[keep],
-        shift=first.shift[keep],
-        planes=gathered.planes,
-        belt=_belt(first, gathered),
-        travel=np.zeros(3),
-        bend=_flat(first.views[0].board) if bent else None,
+        first.camera,
+        first.rotation[keep],
+        first.shift[keep],
+        gathered.planes,
+        _belt(first, gathered),
+        bend=Bend.none(*first.views[0].board.size_mm.tolist()) if bent else None,
         prints=sizes,
     )
+    moves = bool(np.ptp(counts) > 0)
     unknowns = unknowns_of(
-        start,
-        free_camera=free,
-        planes=True,
-        belt=True,
-        travel=_moves(counts),
-        bend=bent,
-        prints=looked_for,
+        start, free_camera=free, planes=True, belt=True, travel=moves, bend=bent, prints=looked_for
     )
-    feet, foot_std_mm = _feet(first.views, number, counts)
-    return Measured(
-        start,
-        unknowns,
-        _corners(first, number, counts),
-        replace(gathered.points, pose=np.where(on < 0, on, number[on])),
-        feet,
-        foot_std_mm,
-    )
-
-
-def _flat(board: Board) -> Bend:
-    """Give the shape to begin with."""
-    return Bend.none(*board.size_mm.tolist())
-
-
-def _corners(first: FirstCamera, pose: np.ndarray, counts: Floats) -> Corners:
-    marks = [view.marks for view in first.views]
-    size = [len(one.xy_px) for one in marks]
-    return Corners(
-        np.repeat(pose, size).astype(np.int64),
-        np.concatenate([np.empty((0, 3)), *(one.board_mm for one in marks)]),
-        np.concatenate([np.empty((0, 2)), *(one.xy_px for one in marks)]),
-        np.repeat(counts, size),
-        np.repeat([view.number for view in first.views], size).astype(np.int64),
-    )
-
-
-def _under(first: FirstCamera, number: Any) -> Floats:
-    """Give (3,) b·X = 1 of what the board of a view lies on."""
-    normal = first.rotation[number][:, 2]
-    return np.asarray(normal / (normal @ first.shift[number] + first.views[number].board.thickness_mm))
+    points = replace(gathered.points, pose=np.where(on < 0, on, number[on]))
+    feet, foot_std_mm = feet_of(first.views, number, counts)
+    return Measured(start, unknowns, corners_of(first, number, counts), points, feet, foot_std_mm)
 
 
 def _belt(first: FirstCamera, gathered: Gathered) -> Floats:
     """Give the belt (3,) b·X = 1 to start with: under the first board on it, or from its own stripes."""
-    lies = [number for number, view in enumerate(first.views) if view.on_belt]
-    belt = gathered.belt
-    if lies:
-        return _under(first, lies[0])
-    if belt is None or not np.isfinite(belt).all():
+    for number, view in enumerate(first.views):
+        if view.on_belt:
+            return belt_under(first, number)
+    if gathered.belt is None or not np.isfinite(gathered.belt).all():
         raise CalibrationError(
             "nothing shows where the belt is",
             hint="name images of the empty belt in images.belt, or of the board lying on it in "
@@ -558,10 +379,10 @@ def _belt(first: FirstCamera, gathered: Gathered) -> Floats:
             "one stripe on the empty belt does not tell how the belt is tilted",
             hint="lay the board on the belt and name the image in images.board_on_belt",
         )
-    return belt
+    return gathered.belt
 
 
-def _placed(first: FirstCamera) -> tuple[np.ndarray, Floats]:
+def _placed(first: FirstCamera) -> tuple[Integers, Floats]:
     """Give each view the pose it belongs to and the encoder counts it was carried on since.
 
     Boards that lie on the belt with known encoder counts were laid there once and are carried along.
@@ -573,20 +394,3 @@ def _placed(first: FirstCamera) -> tuple[np.ndarray, Floats]:
         pose[number] = carried[0]
         counts[number] = first.views[number].count - first.views[carried[0]].count
     return pose, counts
-
-
-def _moves(counts: Floats) -> bool:
-    return bool(np.ptp(counts) > 0) if counts.size else False
-
-
-def _feet(views: list[BoardView], pose: np.ndarray, counts: Floats) -> tuple[Feet, Floats]:
-    """Three corners of the underside of each board that lies on the belt; standard uncertainties, mm."""
-    lies = [number for number, view in enumerate(views) if view.on_belt]
-    places, std_mm = [np.empty((0, 3))], []
-    for board in (views[number].board for number in lies):
-        width, height = board.size_mm
-        at = [[0.0, 0.0], [width, 0.0], [0.5 * width, height]]
-        places.append(np.column_stack([at, np.full(3, board.thickness_mm)]))
-        std_mm += [max(board.flatness_mm, 0.005) / np.sqrt(3.0)] * 3
-    feet = Feet(np.repeat(pose[lies], 3).astype(np.int64), np.concatenate(places), np.repeat(counts[lies], 3))
-    return feet, np.array(std_mm)

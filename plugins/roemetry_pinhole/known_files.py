@@ -27,18 +27,23 @@ _PLANES = ("planes", "laser_planes")
 def read_camera(path: Path) -> Floats:
     """Give (12,) fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6 from OpenCV's file or a calibration of ours.
 
-    Raises
-    ------
-    DataError
-        There is no such file, or it holds no camera matrix, or a lens model this program does not know.
+    Raises DataError: there is no such file, or it holds no camera matrix, or a lens model this program does
+    not know.
     """
-    if _is_calibration(path):
-        return _camera_of_calibration(path)
-    storage = _opened(path)
     try:
-        matrix, lens = _first(storage, _MATRIX), _first(storage, _LENS)
-    finally:
-        storage.release()
+        with path.open(encoding="utf-8") as file:
+            head = list(itertools.islice(file, _HEAD_LINES))
+    except (OSError, UnicodeDecodeError):
+        head = []  # OpenCV says what is wrong with it
+    if any(line.startswith("roemetry_calibration") for line in head):
+        parameters = Calibration.load(path).parameters
+        if not {"focal_px", "principal_px", "distortion"} <= set(parameters):
+            raise DataError(
+                f"{path}: this calibration holds no pinhole camera",
+                hint="one of the calibrator pinhole-plane does, and so does a file of OpenCV's",
+            )
+        return camera_of(parameters)
+    matrix, lens = _matrices(path, _MATRIX, _LENS)
     if matrix is None or matrix.shape != (3, 3):
         raise DataError(f"{path}: there is no 3 × 3 camera matrix here ({', '.join(_MATRIX)})")
     if abs(matrix[0, 1]) > 1e-9:
@@ -55,33 +60,10 @@ def read_camera(path: Path) -> Floats:
     return camera
 
 
-def _is_calibration(path: Path) -> bool:
-    try:
-        with path.open(encoding="utf-8") as file:
-            return any(
-                line.startswith("roemetry_calibration") for line in itertools.islice(file, _HEAD_LINES)
-            )
-    except (OSError, UnicodeDecodeError):
-        return False
-
-
-def _camera_of_calibration(path: Path) -> Floats:
-    parameters = Calibration.load(path).parameters
-    if not {"focal_px", "principal_px", "distortion"} <= set(parameters):
-        raise DataError(
-            f"{path}: this calibration holds no pinhole camera",
-            hint="one of the calibrator pinhole-plane does, and so does a file of OpenCV's",
-        )
-    return camera_of(parameters)
-
-
 def plane_from(a: float, b: float, c: float, d: float, *, sign: int) -> Floats:
     """Give (3,) p·X = 1 from Ax + By + Cz + D = 0 (`sign` = 1) or Ax + By + Cz = D (`sign` = −1), mm.
 
-    Raises
-    ------
-    DataError
-        The plane goes through the origin, the camera's centre: it measures nothing.
+    Raises DataError: the plane goes through the origin, the camera's centre: it measures nothing.
     """
     distance = -sign * d
     size = float(np.sqrt(a * a + b * b + c * c))
@@ -93,23 +75,10 @@ def plane_from(a: float, b: float, c: float, d: float, *, sign: int) -> Floats:
 def read_planes(path: Path, *, sign: int = 1) -> Floats:
     """Give (stripe, 3) p·X = 1 from rows A, B, C, D named `planes` or `laser_planes`, camera frame, mm.
 
-    Parameters
-    ----------
-    path
-        YAML, JSON or XML as OpenCV writes it.
-    sign
-        1 where the rows mean Ax + By + Cz + D = 0, −1 where they mean Ax + By + Cz − D = 0.
-
-    Raises
-    ------
-    DataError
-        There are no such rows, or a plane goes through the camera's centre.
+    `sign` is 1 where the rows mean Ax + By + Cz + D = 0, −1 where they mean Ax + By + Cz − D = 0. Raises
+    DataError: there are no such rows, or a plane goes through the camera's centre.
     """
-    storage = _opened(path)
-    try:
-        rows = _first(storage, _PLANES)
-    finally:
-        storage.release()
+    (rows,) = _matrices(path, _PLANES)
     if rows is None or rows.ndim != 2 or rows.shape[1] != 4:
         raise DataError(f"{path}: there are no planes here: rows of A, B, C, D named `planes`")
     try:
@@ -118,7 +87,8 @@ def read_planes(path: Path, *, sign: int = 1) -> Floats:
         raise DataError(f"{path}: {error.message}") from error
 
 
-def _opened(path: Path):  # type: ignore[no-untyped-def]  # noqa: ANN202
+def _matrices(path: Path, *wanted: tuple[str, ...]) -> list[Floats | None]:
+    """Give the first matrix of a file that has one of the names wanted, for each of these; None: none has."""
     import cv2
 
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -128,14 +98,11 @@ def _opened(path: Path):  # type: ignore[no-untyped-def]  # noqa: ANN202
         raise DataError(f"{path}: not a file that OpenCV wrote") from error
     if not storage.isOpened():
         raise DataError(f"{path}: the file cannot be read, or OpenCV did not write it")
-    return storage
-
-
-def _first(storage, names: tuple[str, ...]) -> Floats | None:  # type: ignore[no-untyped-def]  # noqa: ANN001
-    for name in names:
-        node = storage.getNode(name)
-        if not node.empty():
-            found = node.mat()
-            if found is not None:
-                return np.asarray(found, np.float64)
-    return None
+    try:
+        found = [
+            next((one for name in names if (one := storage.getNode(name).mat()) is not None), None)
+            for names in wanted
+        ]
+    finally:
+        storage.release()
+    return [None if one is None else np.asarray(one, np.float64) for one in found]

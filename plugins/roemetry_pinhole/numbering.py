@@ -48,31 +48,24 @@ what is left all poses are paired, for a stripe at the rim may lie on two or thr
 _OWN_VOTE = 0.1
 """What the two lines that a plane goes through count for it, where a line of a third board counts 1: any two
 lines nearly lie in a plane. Above 0, for a stripe may lie on two boards alone."""
-_ROUNDS = 5
-"""Rounds of taking lines and fitting planes; the third changes nothing any more."""
-_CONDITION_MAX = 1e12
-"""Of the normal matrix of a plane: beyond, its lines are one line."""
-_APART_SHARE = 0.4
-"""Of the spacing: two planes nearer than this over the boards are one stripe, found twice."""
+_ROUNDS = 5  # rounds of taking lines and fitting planes; the third changes nothing any more
+_CONDITION_MAX = 1e12  # of the normal matrix of a plane: beyond, its lines are one line
+_APART_SHARE = 0.4  # of the spacing: two planes nearer than this over the boards are one stripe, found twice
 _SHOWN_SHARE_MIN = 0.5
 """A plane must have a line in this share of the poses that show stripes on both sides of it. Two lines on two
 boards always nearly lie in one plane, so false lines make planes by chance, in 2 of 10 poses, rarely 3."""
-_SHOWN_MIN = 4
-"""Or in so many poses: a faint stripe may be found on a few boards alone."""
+_SHOWN_MIN = 4  # or in so many poses: a faint stripe may be found on a few boards alone
 _WEAK_SHARE = 0.5
 """Of the weakest accepted plane's peaks: surplus planes with fewer than this are reflections."""
-_POSE_SHARE_MIN = 0.5
-"""Of a pose's peaks: if fewer lie on planes, its lines fit the others' by chance only."""
+_POSE_SHARE_MIN = 0.5  # of a pose's peaks: if fewer lie on planes, its lines fit the others' by chance only
 _OUTLYING_FACTOR = 8.0
 """Times the usual distance of a pose's lines from the planes of all others: moved or mirrored."""
-_OUTLYING_LEAST = 1e-3
-"""Of the distance from the camera: what is nearer than this is never called moved."""
+_OUTLYING_LEAST = 1e-3  # of the distance from the camera: what is nearer than this is never called moved
 _CONTRADICTING_SHARE = 0.4
 """Of the poses: where more lie off the planes of the others, nobody can say which are right."""
 _CONTRADICTING_MIN = 2
 """One pose that moved among three or four is named by the others; two are as good as they."""
-_OUTLYING_POSES_MIN = 4
-"""Of fewer poses nobody could say which is wrong."""
+_OUTLYING_POSES_MIN = 4  # of fewer poses nobody could say which is wrong
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -106,43 +99,33 @@ class Numbered:
     planes: Floats
     """(stripe, 3) p·X = 1 of each plane, a first estimate, 1/mm."""
     left_out: dict[str, str]
-    """Poses that fit no numbering, with the reason."""
     moved: tuple[str, ...] = ()
-    """Those of them whose board or laser moved: nothing in their images is to be trusted."""
+    """left_out, moved: poses that fit no numbering, with the reason; those of them whose board or laser
+    moved: nothing in their images is to be trusted."""
 
 
 def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | None = None) -> Numbered:
     """Number the lines of all poses.
 
-    Parameters
-    ----------
-    poses
-        Lines on boards.
-    stripes
-        How many the rig has.
-    belt
-        Lines on the empty belt, where its place is known: one more pose, in which nothing hides a stripe.
+    Lines on the empty `belt`, where its place is known, are one more pose, in which nothing hides a stripe.
 
-    Raises
-    ------
-    CalibrationError
-        A stripe lies on fewer than two boards, or more planes are seen than there are stripes.
+    Raises CalibrationError: a stripe lies on fewer than two boards, or more planes are seen than there are
+    stripes.
     """
     kept = [pose for pose in poses if pose.count]
     left_out: dict[str, str] = {}
+    shows_all = belt is not None and belt.count == stripes
     while True:
         every = [*kept, *([belt] if belt is not None and belt.count else [])]
-        planes, numbers = planes_of(every, belt_shows_all=belt is not None and belt.count == stripes)
-        moved = _poses_off(kept, planes, numbers)
-        if not moved:
+        planes, numbers = planes_of(every, belt_shows_all=shows_all)
+        moved = _pose_off(kept, planes, numbers)
+        if moved is None:
             break
         usual = float(np.median([pose.weight.sum() for pose in kept]))
         few = min(_FEW, stripes - 1)  # a pose that shows all of one or two stripes hides nothing
-        left_out |= {
-            pose.name: _HIDDEN if pose.count <= few or pose.weight.sum() < _FEW_SHARE * usual else _MOVED
-            for pose in moved
-        }
-        kept = [pose for pose in kept if pose not in moved]
+        hidden = moved.count <= few or moved.weight.sum() < _FEW_SHARE * usual
+        left_out[moved.name] = _HIDDEN if hidden else _MOVED
+        kept = [pose for pose in kept if pose is not moved]
     contradicting = [name for name, why in left_out.items() if why is _MOVED]
     if len(contradicting) >= max(_CONTRADICTING_SHARE * len(poses), _CONTRADICTING_MIN):
         raise CalibrationError(
@@ -151,9 +134,7 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
             hint="is each laser image paired with the board it was taken of? did the board move between the "
             "two, or the laser or the camera between the poses?",
         )
-    number_of = _numbers_of(
-        kept, numbers, planes, stripes, belt_shows_all=belt is not None and belt.count == stripes
-    )
+    number_of = _numbers_of(kept, numbers, planes, stripes, belt_shows_all=shows_all)
     found = {
         pose.name: np.where(mine >= 0, number_of[mine], -1) if len(number_of) else mine
         for pose, mine in zip(kept, numbers, strict=False)
@@ -172,10 +153,8 @@ _HIDDEN = (
     "hardly a line is seen on even print, and it lies on no plane of the other poses: are the stripes faint, "
     "or as wide as the board's squares? Tilt the board less"
 )
-_FEW = 2
-"""Lines of a pose from which nothing can be told of the pose itself."""
-_FEW_SHARE = 0.1
-"""Of the usual pose's peaks: fewer are scraps too short to say where their lines run."""
+_FEW = 2  # lines of a pose from which nothing can be told of the pose itself
+_FEW_SHARE = 0.1  # of the usual pose's peaks: fewer are scraps too short to say where their lines run
 
 
 def planes_of(poses: list[PoseLines], *, belt_shows_all: bool) -> tuple[Floats, list[Integers]]:
@@ -199,10 +178,17 @@ def planes_of(poses: list[PoseLines], *, belt_shows_all: bool) -> tuple[Floats, 
             planes = _in_order(poses, planes, spacing)
             tolerance = min(tolerance, _tolerance(poses, planes, spacing))
         numbers = [_nearest(pose, planes, tolerance) for pose in poses]
+        plane = np.arange(len(planes))
         if belt_shows_all:
-            planes = planes[np.isin(np.arange(len(planes)), numbers[-1])]
+            shown = np.isin(plane, numbers[-1])
         else:
-            planes = planes[_is_shown(numbers, len(planes))]
+            # due where stripes on both sides are seen: nothing but the board's edge ends the row of them
+            first = np.array([mine[mine >= 0].min(initial=len(planes)) for mine in numbers])
+            last = np.array([mine.max(initial=-1) for mine in numbers])
+            due = ((first[:, None] <= plane) & (last[:, None] >= plane)).sum(axis=0)
+            seen = np.array([np.isin(plane, mine) for mine in numbers]).sum(axis=0)
+            shown = (seen >= _SHOWN_SHARE_MIN * due) | (seen >= _SHOWN_MIN)
+        planes = planes[shown]
         numbers = [_nearest(pose, planes, tolerance) for pose in poses]
         if sum(int((mine >= 0).sum()) for mine in numbers) <= before:
             # what these lines have in common is no stripe: each is tried once
@@ -212,6 +198,34 @@ def planes_of(poses: list[PoseLines], *, belt_shows_all: bool) -> tuple[Floats, 
         more = _best_pairing(poses, left, tolerance, len(poses))
         planes = np.concatenate([planes, more])
     return planes, numbers
+
+
+def _pose_off(poses: list[PoseLines], planes: Floats, numbers: list[Integers]) -> PoseLines | None:
+    """Give the pose whose lines lie farthest off the planes that the others show: mirrored, or moved.
+
+    A board that is its own mirror image is told by nothing else.
+    """
+    if len(poses) < _OUTLYING_POSES_MIN or not len(planes):
+        return None
+    share = [
+        float(pose.weight[mine >= 0].sum() / max(pose.weight.sum(), 1.0))
+        for pose, mine in zip(poses, numbers, strict=False)
+    ]
+    if min(share) < _POSE_SHARE_MIN:
+        return poses[int(np.argmin(share))]
+    off = np.full(len(poses), np.nan)
+    for one, pose in enumerate(poses):
+        others = [at for at in range(len(poses)) if at != one]
+        without = _fitted([poses[at] for at in others], [numbers[at] for at in others], len(planes))
+        on = np.flatnonzero(numbers[one] >= 0)
+        own = distances(pose, without)[on, numbers[one][on]]
+        if np.isfinite(own).any():
+            off[one] = float(np.nanmedian(own)) / float(pose.ends_mm[:, :, 2].mean())
+    if not np.isfinite(off).any():
+        return None
+    worst = int(np.nanargmax(off))
+    limit = max(_OUTLYING_FACTOR * float(np.nanmedian(off)), _OUTLYING_LEAST)
+    return poses[worst] if off[worst] > limit else None
 
 
 def _best_pairing(poses: list[PoseLines], free: list[Flags], tolerance: float, bases_max: int) -> Floats:
@@ -240,21 +254,23 @@ def _votes(lines: list[Floats], base: int, other: int, tolerance: float) -> tupl
     """Give the planes (i, j, 3) through each line of one pose and each of another, and their votes (i, j)."""
     one, two = lines[base], lines[other]
     square = np.einsum("lei,lej->lij", one, one)[:, None] + np.einsum("lei,lej->lij", two, two)[None]
-    right = one.sum(axis=1)[:, None] + two.sum(axis=1)[None]
-    planes = np.full(right.shape, np.nan)
-    solvable = np.linalg.cond(square) < _CONDITION_MAX
-    planes[solvable] = np.linalg.solve(square[solvable], right[solvable][:, :, None])[:, :, 0]
+    planes = _solved(square, one.sum(axis=1)[:, None] + two.sum(axis=1)[None])
     off = np.maximum(_off_mm(one, planes, "iek,ijk->ije"), _off_mm(two, planes, "jek,ijk->ije"))
     votes = _OWN_VOTE * _vote(off, tolerance)
     likely = votes > 0.0
-    tried = planes[likely]
-    gathered = votes[likely]
     for pose in range(len(lines)):
         if pose not in (base, other) and len(lines[pose]):
-            nearest = _off_mm(lines[pose], tried, "lek,hk->hle").min(axis=1)
-            gathered = gathered + _vote(nearest, tolerance)
-    votes[likely] = gathered
+            nearest = _off_mm(lines[pose], planes[likely], "lek,hk->hle").min(axis=1)
+            votes[likely] += _vote(nearest, tolerance)
     return planes, votes
+
+
+def _solved(square: Floats, right: Floats) -> Floats:
+    """Give the planes (…, 3) of normal matrices (…, 3, 3); NaN where these are of one line."""
+    planes = np.full(right.shape, np.nan)
+    good = np.linalg.cond(square) < _CONDITION_MAX
+    planes[good] = np.linalg.solve(square[good], right[good][:, :, None])[:, :, 0]
+    return planes
 
 
 def _off_mm(ends: Floats, planes: Floats, axes: str) -> Floats:
@@ -271,13 +287,11 @@ def _vote(off_mm: Floats, tolerance: float) -> Floats:
 
 def _ordered_pairs(votes: Floats) -> tuple[float, Integers]:
     """Give the largest sum of votes (i, j) along a path on which both grow, and the (pair, 2) on it."""
-    rows, columns = votes.shape
-    total = np.zeros((rows + 1, columns + 1))
-    for i in range(rows):
-        row = np.maximum(total[i, 1:], total[i, :-1] + votes[i])
-        total[i + 1, 1:] = np.maximum.accumulate(row)
+    total = np.zeros(np.add(votes.shape, 1))
+    for i, row in enumerate(votes):
+        total[i + 1, 1:] = np.maximum.accumulate(np.maximum(total[i, 1:], total[i, :-1] + row))
     pairs = []
-    i, j = rows, columns
+    i, j = votes.shape
     while i and j:
         if total[i, j] == total[i - 1, j]:
             i -= 1
@@ -313,10 +327,7 @@ def _fitted(poses: Sequence[PoseLines], numbers: Sequence[Integers], count: int)
         np.add.at(square, at, np.einsum("lei,lej->lij", ends, ends))
         np.add.at(right, at, ends.sum(axis=1))
         seen[np.unique(at)] += 1
-    planes = np.full((count, 3), np.nan)
-    good = (seen >= 2) & (np.linalg.cond(square) < _CONDITION_MAX)
-    planes[good] = np.linalg.solve(square[good], right[good][:, :, None])[:, :, 0]
-    return planes
+    return np.where((seen >= 2)[:, None], _solved(square, right), np.nan)
 
 
 def _in_order(poses: list[PoseLines], planes: Floats, spacing: float) -> Floats:
@@ -354,19 +365,6 @@ def _in_order(poses: list[PoseLines], planes: Floats, spacing: float) -> Floats:
     return found[::-1] if turns < 0 else found
 
 
-def _is_shown(numbers: list[Integers], count: int) -> Flags:
-    """Say of each plane (plane,) whether enough of the poses show it in which its stripe must be seen.
-
-    It must be seen where stripes on both sides of it are: nothing but the board's edge ends the row of them.
-    """
-    first = np.array([mine[mine >= 0].min(initial=count) for mine in numbers])
-    last = np.array([mine.max(initial=-1) for mine in numbers])
-    plane = np.arange(count)
-    due = ((first[:, None] <= plane) & (last[:, None] >= plane)).sum(axis=0)
-    seen = np.array([np.isin(plane, mine) for mine in numbers]).sum(axis=0)
-    return np.asarray((seen >= _SHOWN_SHARE_MIN * due) | (seen >= _SHOWN_MIN))
-
-
 def _tolerance(poses: list[PoseLines], planes: Floats, spacing: float) -> float:
     """Give the tolerance that the distances seen ask for, mm."""
     off = [distances(pose, planes).min(axis=1) for pose in poses if len(planes)]
@@ -376,49 +374,18 @@ def _tolerance(poses: list[PoseLines], planes: Floats, spacing: float) -> float:
     return float(max(_NOISE_FACTOR * usual, _TOLERANCE_LEAST_SHARE * spacing))
 
 
-def _poses_off(poses: list[PoseLines], planes: Floats, numbers: list[Integers]) -> list[PoseLines]:
-    """Give poses whose lines lie off the planes that the others show: mirrored, or moved.
-
-    A board that is its own mirror image is told by nothing else.
-    """
-    if len(poses) < _OUTLYING_POSES_MIN or not len(planes):
-        return []
-    share = np.array(
-        [
-            float(pose.weight[mine >= 0].sum() / max(pose.weight.sum(), 1.0))
-            for pose, mine in zip(poses, numbers, strict=False)
-        ]
-    )
-    if share.min() < _POSE_SHARE_MIN:
-        return [poses[int(share.argmin())]]
-    off = np.full(len(poses), np.nan)
-    for one, pose in enumerate(poses):
-        others = [at for at in range(len(poses)) if at != one]
-        without = _fitted([poses[at] for at in others], [numbers[at] for at in others], len(planes))
-        on = np.flatnonzero(numbers[one] >= 0)
-        own = distances(pose, without)[on, numbers[one][on]]
-        if np.isfinite(own).any():
-            off[one] = float(np.nanmedian(own)) / float(pose.ends_mm[:, :, 2].mean())
-    if not np.isfinite(off).any():
-        return []
-    worst = int(np.nanargmax(off))
-    if off[worst] <= max(_OUTLYING_FACTOR * float(np.nanmedian(off)), _OUTLYING_LEAST):
-        return []
-    return [poses[worst]]
-
-
 def _numbers_of(
     poses: list[PoseLines], numbers: list[Integers], planes: Floats, stripes: int, *, belt_shows_all: bool
 ) -> Integers:
     """Give (plane,) the stripe of each plane, −1 for none; CalibrationError where that cannot be told."""
     count = len(planes)
-    peaks, boards = np.zeros(count), np.zeros(count, np.int64)
+    peaks = np.zeros(count)
     on: list[list[str]] = [[] for _ in range(count)]
     for pose, mine in zip(poses, numbers, strict=False):
         for plane in mine[mine >= 0]:
-            boards[plane] += 1
             on[plane].append(pose.name)
         np.add.at(peaks, mine[mine >= 0], pose.weight[mine >= 0])
+    boards = np.array([len(names) for names in on], np.int64)
     for mine in numbers[len(poses) :]:
         # the belt is a board whose place is known: with one more line it determines a plane
         boards[mine[mine >= 0]] += 1
@@ -441,51 +408,31 @@ def _numbers_of(
     usable = (number >= 0) & (boards >= 2)
     if usable.sum() == stripes:
         return np.where(usable, number, -1)
-    raise _too_few(poses, numbers, planes, number, on, stripes, belt_shows_all=belt_shows_all)
-
-
-def _too_few(
-    poses: list[PoseLines],
-    numbers: list[Integers],
-    planes: Floats,
-    number: Integers,
-    on: list[list[str]],
-    stripes: int,
-    *,
-    belt_shows_all: bool,
-) -> CalibrationError:
-    """Say which stripe is seen on too few boards, as far as that is known."""
-    hint = (
-        "add poses in which the board lies under it; is `stripes` right? is each laser image paired with the "
-        "board it was taken of, by one camera?"
-    )
-    once = [(int(number[plane]) + 1, names) for plane, names in enumerate(on) if len(names) == 1]
-    if once and once[0][0] > 0:
-        stripe, names = once[0]
-        return CalibrationError(
-            f"stripe {stripe} lies on one board alone ({names[0]}): that determines no plane", hint=hint
-        )
-    lone: list[tuple[int, str]] = []
-    for pose, mine in zip(poses, numbers, strict=False):
-        for line in np.flatnonzero(mine < 0):
-            left = mine[:line]
-            left = left[left >= 0]
-            lone.append((int(left[-1]) + 2 if left.size else 1, pose.name))
-    if len(lone) == 1 and len(planes) == stripes - 1:
-        stripe, name = lone[0]
-        return CalibrationError(
-            f"stripe {stripe} lies on one board alone ({name}): that determines no plane", hint=hint
-        )
+    # which stripe is on too few boards, as far as that is known
+    alone = [(int(number[plane]) + 1, names[0]) for plane, names in enumerate(on) if len(names) == 1]
+    if not (alone and alone[0][0] > 0):
+        alone = []
+        for pose, mine in zip(poses, numbers, strict=False):
+            for line in np.flatnonzero(mine < 0):
+                alone.append((int(mine[:line].max(initial=-1)) + 2, pose.name))
+        if len(alone) != 1 or count != stripes - 1:
+            alone = []
     missing = sorted(set(range(stripes)) - set(number.tolist()))
-    if belt_shows_all and missing:
+    if alone:
+        why = f"stripe {alone[0][0]} lies on one board alone ({alone[0][1]}): that determines no plane"
+    elif belt_shows_all and missing:
         those = ", ".join(str(one + 1) for one in missing)
-        return CalibrationError(
-            f"stripe {those} is seen on the empty belt and on fewer than two boards", hint=hint
+        why = f"stripe {those} is seen on the empty belt and on fewer than two boards"
+    else:
+        most = max((pose.count for pose in poses), default=0)
+        why = (
+            f"no numbering of {stripes} stripes fits: {count} planes of light are found on two boards or "
+            f"more; the board with most lines shows {most}"
         )
-    return CalibrationError(
-        f"no numbering of {stripes} stripes fits: {len(planes)} planes of light are found on two boards or "
-        f"more; the board with most lines shows {max((pose.count for pose in poses), default=0)}",
-        hint=hint,
+    raise CalibrationError(
+        why,
+        hint="add poses in which the board lies under it; is `stripes` right? is each laser image paired "
+        "with the board it was taken of, by one camera?",
     )
 
 

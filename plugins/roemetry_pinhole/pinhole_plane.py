@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -25,22 +26,18 @@ from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
 from roemetry_kernels.compiling import float_kernel
 from roemetry_kernels.lens import lens_from, undistorted_place
-from roemetry_pinhole.geometry import CAMERA, ON_BELT, Geometry, StripePoints, Unknowns, rays, stripe_rows
+from roemetry_pinhole.geometry import ON_BELT, Geometry, StripePoints, Unknowns, rays, stripe_residuals
 
 METHOD = "pinhole-plane"
 
-_FAN_RMS_MAX_MM = 5.0
-"""Planes that pass a common point by more than this come from no one projector, mm."""
-_REST_DEGREE_MAX = 7
-"""Of the polynomial of a rest line: higher ones swing between their supports."""
+_FAN_RMS_MAX_MM = 5.0  # planes that pass a common point by more than this come from no one projector, mm
+_REST_DEGREE_MAX = 7  # of the polynomial of a rest line: higher ones swing between their supports
 _REST_OFF_MAX_PX = 0.002
 """The lowest degree that stays this near to the exact line is taken: a tenth of the best peak's noise."""
-_REST_ROUNDS = 30
-"""Newton steps to a rest line; a place that needs more is none."""
+_REST_ROUNDS = 30  # Newton steps to a rest line; a place that needs more is none
 _PLANES_STD_MM = 0.05
 """How far planes that were calibrated pass their common point, as weighed against the next number."""
-_PROJECTOR_Y_STD_MM = 20.0
-"""How far a projector stands beside the camera's own plane, as rigs are built."""
+_PROJECTOR_Y_STD_MM = 20.0  # how far a projector stands beside the camera's own plane, as rigs are built
 
 
 def belt_pose(belt: Floats) -> Floats:
@@ -58,14 +55,7 @@ def belt_pose(belt: Floats) -> Floats:
     x = (across, -u * v / across, -u * w / across)
     y = (0.0, w / across, -v / across)
     away = 1.0 / c
-    return np.array(
-        [
-            [*x, -x[2] * away],
-            [*y, -y[2] * away],
-            [u, v, w, -w * away],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    return np.array([[*x, -x[2] * away], [*y, -y[2] * away], [u, v, w, -w * away], [0.0, 0.0, 0.0, 1.0]])
 
 
 def camera_of(parameters: Mapping[str, Floats]) -> Floats:
@@ -73,19 +63,27 @@ def camera_of(parameters: Mapping[str, Floats]) -> Floats:
     return np.concatenate([parameters["focal_px"], parameters["principal_px"], parameters["distortion"]])
 
 
+def camera_matrix(camera: Floats) -> Floats:
+    """Give (3, 3) the matrix of a camera's focal lengths and principal point, its first four numbers."""
+    return np.array([[camera[0], 0.0, camera[2]], [0.0, camera[1], camera[3]], [0.0, 0.0, 1.0]])
+
+
 def view_of(parameters: Mapping[str, Floats], image_size: tuple[int, int]) -> View:
     """Give camera and planes of light in the belt frame."""
     pose = belt_pose(parameters["belt_per_mm"])
-    focal, middle = parameters["focal_px"], parameters["principal_px"]
     planes = planes_in_belt_frame(parameters["planes_per_mm"], pose)
-    return View(
-        image_size=image_size,
-        camera_matrix=np.array([[focal[0], 0.0, middle[0]], [0.0, focal[1], middle[1]], [0.0, 0.0, 1.0]]),
-        T_belt_camera=pose,
-        planes=planes,
-        distortion=parameters["distortion"],
-        projector_mm=projector_of(planes),
-    )
+    camera = camera_of(parameters)
+    return View(image_size, camera_matrix(camera), pose, planes, camera[4:], projector_of(planes))
+
+
+def derived(parameters: Mapping[str, Floats], image_size: tuple[int, int]) -> dict[str, Any]:
+    """Give a calibration's parameters, and what it holds beside them and follows from them."""
+    return {
+        "parameters": parameters,
+        "rest_px": rest_polynomials(parameters, image_size),
+        "displacement_px_per_mm": displacements(parameters, image_size),
+        "view": view_of(parameters, image_size),
+    }
 
 
 def planes_in_belt_frame(planes: Floats, pose: Floats) -> Floats:
@@ -106,25 +104,30 @@ def points_of(parameters: Mapping[str, Floats], stripe: Integers, x_px: Floats, 
     return np.asarray((ray * depth[:, None]) @ pose[:3, :3].T + pose[:3, 3])
 
 
+def flat(parameters: Mapping[str, Floats]) -> Floats:
+    """Give all parameters in the order of the covariance."""
+    return np.concatenate([np.ravel(array) for array in parameters.values()])
+
+
 def by_parameter(calibration: Calibration, of: Callable[[Mapping[str, Floats]], Floats]) -> Floats:
     """Give (n, …) central differences of what `of` says, by each of a calibration's uncertain parameters.
 
     Steps are a tenth of the parameter's standard uncertainty; of what is held fixed the derivative is 0.
     """
-    std = np.sqrt(np.diag(calibration.covariance))
-    found = np.zeros((std.size, *np.shape(of(calibration.parameters))))
-    for number in np.flatnonzero(std > 0):
-        moved: list[Floats] = []
-        for sign in (1.0, -1.0):
-            parameters, start = {}, 0
-            for name, array in calibration.parameters.items():
-                step = np.zeros(array.size)
-                if start <= number < start + array.size:
-                    step[number - start] = 0.1 * sign * std[number]
-                parameters[name] = array + step.reshape(array.shape)
-                start += array.size
-            moved.append(of(parameters))
-        found[number] = (moved[0] - moved[1]) / (0.2 * std[number])
+    std, known = np.sqrt(np.diag(calibration.covariance)), calibration.parameters
+    ends = np.cumsum([array.size for array in known.values()])[:-1]
+
+    def moved(number: int, by: float) -> Floats:
+        values = flat(known)
+        values[number] += by
+        parts = zip(known.items(), np.split(values, ends), strict=True)
+        return of({name: part.reshape(array.shape) for (name, array), part in parts})
+
+    found = np.zeros((std.size, *np.shape(of(known))))
+    for number in np.flatnonzero(std > 0).tolist():
+        step = 0.1 * float(std[number])
+        up, down = (moved(number, sign * step) for sign in (1.0, -1.0))
+        found[number] = (up - down) / (0.2 * std[number])
     return found
 
 
@@ -152,31 +155,23 @@ def covariance_of(covariance: Floats, unknowns: Unknowns, *, travel: bool) -> Fl
 
 def lines_at_height(parameters: Mapping[str, Floats], row_px: Floats, z_mm: float) -> Floats:
     """Give (stripe, row) where each stripe lies on a level z_mm above the belt, px; NaN outside the lens."""
-    belt = parameters["belt_per_mm"]
-    planes = parameters["planes_per_mm"]
-    none = np.empty((0, 3))
+    belt, planes = parameters["belt_per_mm"], parameters["planes_per_mm"]
     level = belt / (1.0 - z_mm * np.sqrt(belt @ belt))
     camera = camera_of(parameters)
-    geometry = Geometry(camera, np.empty((0, 3, 3)), none, planes, level, np.zeros(3))
-    fixed = np.full((len(planes), 3), -1)
-    unknowns = Unknowns(np.full(CAMERA, -1), fixed, fixed[0], fixed[0], np.empty((0, 6), np.int64))
-    stripe, row = np.indices((len(planes), row_px.size))
-    rows = np.ravel(row_px[row])
+    geometry = Geometry(camera, np.empty((0, 3, 3)), np.empty((0, 3)), planes, level)
+    stripe, row = (index.ravel() for index in np.indices((len(planes), row_px.size)))
     # of the lens without distortion the place is in closed form: a start
-    line = (planes - level)[stripe.ravel()]
-    y = (rows - camera[3]) / camera[1]
+    line = (planes - level)[stripe]
+    y = (row_px[row] - camera[3]) / camera[1]
     with np.errstate(divide="ignore", invalid="ignore"):
         x = camera[2] - camera[0] * (line[:, 1] * y + line[:, 2]) / line[:, 0]
-    zero = np.zeros(x.size)
-    pose = np.full(x.size, ON_BELT)
+    zero, pose = np.zeros(x.size), np.full(x.size, ON_BELT)
     for _ in range(_REST_ROUNDS):
-        points = StripePoints(pose, stripe.ravel(), x, rows, zero + 1.0, zero)
-        off = stripe_rows(geometry, unknowns, points).residual
+        off = stripe_residuals(geometry, StripePoints(pose, stripe, x, row_px[row], zero + 1.0, zero))
         x = x - off
         if not np.nanmax(np.abs(off), initial=0.0) > 1e-10:
             break
-    x = np.where(np.abs(off) < 1e-6, x, np.nan)
-    return x.reshape(stripe.shape)
+    return np.where(np.abs(off) < 1e-6, x, np.nan).reshape(len(planes), -1)
 
 
 def rest_polynomials(parameters: Mapping[str, Floats], image_size: tuple[int, int]) -> Floats:
@@ -226,6 +221,18 @@ def projector_of(planes: Floats) -> Floats:
     return point if np.sqrt((off**2).mean()) < _FAN_RMS_MAX_MM else np.full(3, np.nan)
 
 
+def check_size(stripes: StripeMap, calibration: Calibration) -> None:
+    """Refuse a map of another number of stripes or of rows than the calibration; StageError says which."""
+    if stripes.stripe_count != calibration.stripe_count:
+        raise StageError(
+            f"{stripes.stripe_count} stripes are labelled, the calibration has {calibration.stripe_count}"
+        )
+    if stripes.rows != calibration.image_size[0]:
+        raise StageError(
+            f"the stripes have {stripes.rows} rows, the calibration's images {calibration.image_size[0]}"
+        )
+
+
 class PinholePlane(Triangulator[StageOptions]):
     """Each peak's ray, undistorted, meets its stripe's plane of light; the point goes to the belt frame.
 
@@ -238,21 +245,8 @@ class PinholePlane(Triangulator[StageOptions]):
     )
 
     def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
-        """Give a slice for each stripe, with a point for each image row.
-
-        Raises
-        ------
-        StageError
-            The map has another number of stripes or of rows than the calibration.
-        """
-        if stripes.stripe_count != calibration.stripe_count:
-            raise StageError(
-                f"{stripes.stripe_count} stripes are labelled, the calibration has {calibration.stripe_count}"
-            )
-        if stripes.rows != calibration.image_size[0]:
-            raise StageError(
-                f"the stripes have {stripes.rows} rows, the calibration's images {calibration.image_size[0]}"
-            )
+        """Give a slice for each stripe, with a point for each image row; StageError as of `check_size`."""
+        check_size(stripes, calibration)
         parameters = calibration.parameters
         pose = belt_pose(parameters["belt_per_mm"])
         planes = parameters["planes_per_mm"]
@@ -283,21 +277,12 @@ class PinholePlane(Triangulator[StageOptions]):
         shifted is (1 + a) p. To the covariance is added that of the motion, by the parameters' numerical
         derivatives.
         """
-        parameters = _turned(calibration.parameters, alignment.motion)
-        covariance = calibration.covariance
+        before, size = calibration.parameters, calibration.image_size
+        parameters, covariance = _turned(before, alignment.motion), calibration.covariance
         if alignment.covariance.any():
-            derivatives = np.stack(
-                [
-                    (
-                        _flat(_turned(calibration.parameters, step * np.eye(4)[k]))
-                        - _flat(calibration.parameters)
-                    )
-                    / step
-                    for k, step in enumerate(_MOTION_STEPS)
-                ]
-            )
-            covariance = covariance + derivatives.T @ alignment.covariance @ derivatives
-        size = calibration.image_size
+            steps = np.diag(_MOTION_STEPS)
+            moves = np.array([(flat(_turned(before, step)) - flat(before)) / step.sum() for step in steps])
+            covariance = covariance + moves.T @ alignment.covariance @ moves
         if alignment.planes_px.any():
             planes, per_px = parameters["planes_per_mm"], _shifts_per_px(parameters, size)
             parameters["planes_per_mm"] = planes + alignment.planes_px[:, None] * per_px
@@ -307,14 +292,7 @@ class PinholePlane(Triangulator[StageOptions]):
             for stripe in np.flatnonzero(alignment.planes_px):
                 own = np.s_[first + 3 * stripe : first + 3 * stripe + 3]
                 covariance[own, own] += alignment.planes_std_px**2 * np.outer(per_px[stripe], per_px[stripe])
-        return replace(
-            calibration,
-            parameters=parameters,
-            covariance=covariance,
-            rest_px=rest_polynomials(parameters, size),
-            displacement_px_per_mm=displacements(parameters, size),
-            view=view_of(parameters, size),
-        )
+        return replace(calibration, covariance=covariance, **derived(parameters, size))
 
     def view(self, calibration: Calibration) -> View | None:
         """Give the view of the calibration's own parameters, so that a redrawn one moves it."""
@@ -323,8 +301,7 @@ class PinholePlane(Triangulator[StageOptions]):
 
 _MOTION_STEPS = (1e-2, 1e-5, 1e-5, 1e-5)
 """Steps of numerical derivatives for shift (px), roll (rad), zoom and tilt (rad): all some 0.01 px."""
-_PLANE_STEP = 1e-5
-"""The same of a plane's share: some 0.01 px."""
+_PLANE_STEP = 1e-5  # the same of a plane's share: some 0.01 px
 
 
 def _turned(parameters: Mapping[str, Floats], motion: Floats) -> dict[str, Floats]:
@@ -334,14 +311,12 @@ def _turned(parameters: Mapping[str, Floats], motion: Floats) -> dict[str, Float
     pan_px, roll, zoom, tilt = motion
     focal = parameters["focal_px"]
     rotation = np.asarray(cv2.Rodrigues(np.array([tilt, pan_px / focal[0], roll]))[0], np.float64)
-    return {
-        **parameters,
-        "focal_px": focal * (1.0 + zoom),
-        "planes_per_mm": parameters["planes_per_mm"] @ rotation.T,
-        "belt_per_mm": rotation @ parameters["belt_per_mm"],
-        **({"travel_mm_per_count": rotation @ parameters["travel_mm_per_count"]}
-           if "travel_mm_per_count" in parameters else {}),
-    }  # fmt: skip
+    ways = {name: rotation @ parameters[name] for name in _WAYS if name in parameters}
+    planes = parameters["planes_per_mm"] @ rotation.T
+    return {**parameters, "focal_px": focal * (1.0 + zoom), "planes_per_mm": planes, **ways}
+
+
+_WAYS = ("belt_per_mm", "travel_mm_per_count")  # parameters (3,) that turn with the camera
 
 
 def _shifts_per_px(parameters: Mapping[str, Floats], image_size: tuple[int, int]) -> Floats:
@@ -352,10 +327,6 @@ def _shifts_per_px(parameters: Mapping[str, Floats], image_size: tuple[int, int]
         for step in (_PLANE_STEP, 0.0)
     )
     return np.asarray(planes * _PLANE_STEP / (there - here))
-
-
-def _flat(parameters: Mapping[str, Floats]) -> Floats:
-    return np.concatenate([array.ravel() for array in parameters.values()])
 
 
 _STEP_END = 3e-6

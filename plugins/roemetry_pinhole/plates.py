@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,37 +25,31 @@ from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, CalibrationSet, Observation, Peaks, SpherePlate
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
-from roemetry_pinhole.bundle import Adjusted, Measured
+from roemetry_pinhole.bundle import MAD_TO_STD, Measured
 from roemetry_pinhole.from_solids import OnSolids, resting
 from roemetry_pinhole.geometry import ON_BELT, Geometry, StripePoints, turned
 from roemetry_pinhole.pinhole_plane import belt_pose, by_parameter, parameters_of, points_of
 from roemetry_pinhole.solids import Shape, belt_lines, numbered
 
-_BELT_MM = 0.6
+BELT_MM = 0.6
 """A peak this near to the belt on any stripe may be belt, and is not used."""
 _CAP_RISE_MIN = 0.35
 """Points are used where the ball's surface rises by less than some 70°: further down it shades itself."""
 _WAYS = 72
 """Directions in which a point votes for its ball's centre: 5°, a cell of the votes at a ball's radius."""
-_ANCHORS = 8
-"""Highest votes that are tried as a ball: some are shadows."""
+_ANCHORS = 8  # highest votes that are tried as a ball: some are shadows
 _YAWS_DEG = np.arange(-45.0, 46.0, 1.0)
 _ROUNDS = (0.20, 0.12, 0.08, 0.05, 0.05, 0.05)
 """Of each round, how far off a ball its points may be, in radii."""
-_STEPS = 4
-"""Gauss–Newton steps of a round; the points are chosen anew after them."""
-_STRAY_MADS = 4.5
-"""Standard deviations beyond which a point is left out: one normal error in 150,000."""
+_STEPS = 4  # Gauss–Newton steps of a round; the points are chosen anew after them
+_STRAY_MADS = 4.5  # standard deviations beyond which a point is left out: one normal error in 150,000
 _ALONG_SHARE = 0.2
 """Of the median way across a ball for a pixel: points seen along the surface count as if they had so much."""
-_BALL_POINTS_MIN = 12
-"""Points on a ball: fewer lie there by chance."""
-_POINTS_MIN = 60
-"""Points on all balls, for four unknowns and their scatter."""
+_BALL_POINTS_MIN = 12  # points on a ball: fewer lie there by chance
+_POINTS_MIN = 60  # points on all balls, for four unknowns and their scatter
 _EXPLAINED_MIN = 0.15
 """Share of the peaks at the balls' heights that must lie on balls: in images with the plate's level and
 shadows it is 0.28 to 0.38, without them above 0.7."""
-_MAD_TO_STD = 1.4826  # of normal scatter
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -86,6 +80,11 @@ class Plate:
         """Number of balls that are seen."""
         return int(np.unique(self.ball).size)
 
+    @property
+    def turn(self) -> Floats:
+        """(3, 3) to the belt frame from the plate's."""
+        return np.asarray(turned(np.array([[0.0, 0.0, self.pose[2]]]))[0])
+
     def answer(self, change: Floats) -> float:
         """Give the change of ln(size) if the points' residuals (point,) change."""
         normal = self.slopes.T @ self.slopes
@@ -107,51 +106,45 @@ class Plate:
 
 
 def find_plate(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePlate) -> Plate | None:
-    """Find a sphere plate and fit its place and size; None where it is not seen.
+    """Find a sphere plate, its columns within 45° across the stripes, and fit its place and size.
 
-    Every peak is taken for every stripe; those of the right stripe lie on balls.
-
-    Parameters
-    ----------
-    parameters
-        Of a calibration.
-    peaks
-        Of one image.
-    plate
-        What lies there; its columns run across the stripes, within 45°.
+    `parameters` are a calibration's. None where the plate is not seen. Every peak is taken for every stripe;
+    those of the right stripe lie on balls.
     """
-    near = _on_heights(parameters, peaks, plate)
-    if near.stripe.size < _POINTS_MIN:
+    good = np.flatnonzero((peaks.flags & (EDGE | WIDE)) == 0)
+    stripes = len(parameters["planes_per_mm"])
+    stripe, peak = (index.ravel() for index in np.indices((stripes, good.size)))
+    x_px, row_px = peaks.x_px[good][peak], peaks.row[good][peak].astype(np.float64)
+    at = points_of(parameters, stripe, x_px, row_px)
+    on_belt = np.asarray((np.abs(at[:, 2].reshape(stripes, -1)) < BELT_MM).any(axis=0))
+    radius = 0.5 * plate.diameter_mm
+    high = np.abs(at[:, 2] - plate.centre_height_mm - 0.6 * radius) < 0.7 * radius
+    use = np.flatnonzero(high & ~on_belt[peak])
+    if use.size < _POINTS_MIN:
         return None
-    across = _across(parameters, near.stripe, near.x_px, near.row_px)
-    start = _first(near.at_mm, plate)
-    found = _fitted(near.at_mm, across, near.stripe, near.x_px, near.row_px, plate, start)
+    stripe, x_px, row_px = stripe[use], x_px[use], row_px[use]
+    up, down = (points_of(parameters, stripe, x_px + way, row_px) for way in (0.25, -0.25))
+    near = _Near(stripe, x_px, row_px, at[use], (up - down) / 0.5)
+    found = _fitted(near, plate, _first(near.at_mm, plate))
     # a peak is one, however many stripes it might belong to
-    explained = 0.0 if found is None else found.ball.size / np.unique(near.peak).size
+    explained = 0.0 if found is None else found.ball.size / np.unique(peak[use]).size
     return found if explained > _EXPLAINED_MIN else None
 
 
 class _Near(NamedTuple):
     """Peaks taken for stripes by which they lie at the balls' heights: (point,) and (point, 3)."""
 
-    peak: Integers
     stripe: Integers
     x_px: Floats
     row_px: Floats
     at_mm: Floats
+    across: Floats
+    """Way of each point for a pixel along the row, mm."""
 
-
-def _on_heights(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePlate) -> _Near:
-    good = np.flatnonzero((peaks.flags & (EDGE | WIDE)) == 0)
-    stripes = len(parameters["planes_per_mm"])
-    stripe, peak = (index.ravel() for index in np.indices((stripes, good.size)))
-    x_px, row_px = peaks.x_px[good][peak], peaks.row[good][peak].astype(np.float64)
-    at = points_of(parameters, stripe, x_px, row_px)
-    on_belt = np.asarray((np.abs(at[:, 2].reshape(stripes, -1)) < _BELT_MM).any(axis=0))
-    radius = 0.5 * plate.diameter_mm
-    high = np.abs(at[:, 2] - plate.centre_height_mm - 0.6 * radius) < 0.7 * radius
-    use = np.flatnonzero(high & ~on_belt[peak])
-    return _Near(peak[use], stripe[use], x_px[use], row_px[use], at[use])
+    def some(self, use: Integers) -> _Near:
+        """Give some of the points."""
+        parts: list[Any] = [column[use] for column in self]
+        return _Near(*parts)
 
 
 def off_balls(at_mm: Floats, ball: Integers, plate: SpherePlate, pose: Floats) -> tuple[Floats, Floats]:
@@ -169,13 +162,6 @@ def centres(plate: SpherePlate, pose: Floats) -> Floats:
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     xy = pose[3] * grid @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
     return np.column_stack([xy, np.full(len(xy), pose[3] * plate.centre_height_mm)])
-
-
-def _across(parameters: Mapping[str, Floats], stripe: Integers, x_px: Floats, row_px: Floats) -> Floats:
-    """(point, 3) way of each point for a pixel along the row, mm."""
-    step = 0.25
-    up, down = (points_of(parameters, stripe, x_px + s * step, row_px) for s in (1.0, -1.0))
-    return np.asarray((up - down) / (2.0 * step))
 
 
 def _first(at: Floats, plate: SpherePlate) -> Floats:
@@ -225,79 +211,57 @@ def _peaks_of(votes: Floats, apart: int) -> Floats:
     return np.array(found, np.float64)
 
 
-def _fitted(
-    at: Floats,
-    across: Floats,
-    stripe: Integers,
-    x_px: Floats,
-    row_px: Floats,
-    plate: SpherePlate,
-    pose: Floats,
-) -> Plate | None:
+def _fitted(near: _Near, plate: SpherePlate, pose: Floats) -> Plate | None:
     """Gauss and Newton, the points on balls chosen anew in each round."""
     radius = 0.5 * plate.diameter_mm
     found = None
     for share in _ROUNDS:
         centre = centres(plate, pose)
-        ball = ((at[:, None, :2] - centre[None, :, :2]) ** 2).sum(axis=2).argmin(axis=1)
-        off, out = off_balls(at, ball, plate, pose)
+        ball = ((near.at_mm[:, None, :2] - centre[None, :, :2]) ** 2).sum(axis=2).argmin(axis=1)
+        off, out = off_balls(near.at_mm, ball, plate, pose)
         on = (np.abs(off) < share * radius) & (out[:, 2] > _CAP_RISE_MIN)
         on &= np.bincount(ball[on], minlength=len(centre))[ball] >= _BALL_POINTS_MIN
         use = np.flatnonzero(on)
         for _ in range(_STEPS):
             if use.size < _POINTS_MIN:
                 return None
-            found = _measured(at, across, stripe, x_px, row_px, ball, use, plate, pose)
+            found = _measured(near.some(use), ball[use], plate, pose)
             pose = pose + np.linalg.lstsq(found.slopes, -found.residual, rcond=None)[0]
-            limit = _STRAY_MADS * _MAD_TO_STD * float(np.median(np.abs(found.residual))) + 1e-6
+            limit = _STRAY_MADS * MAD_TO_STD * float(np.median(np.abs(found.residual))) + 1e-6
             use = use[np.abs(found.residual) < limit]
     return found
 
 
-def _measured(
-    at: Floats,
-    across: Floats,
-    stripe: Integers,
-    x_px: Floats,
-    row_px: Floats,
-    ball: Integers,
-    use: Integers,
-    plate: SpherePlate,
-    pose: Floats,
-) -> Plate:
-    off, out = off_balls(at[use], ball[use], plate, pose)
-    per_px = np.abs((out * across[use]).sum(axis=1))
+def _measured(near: _Near, ball: Integers, plate: SpherePlate, pose: Floats) -> Plate:
+    off, out = off_balls(near.at_mm, ball, plate, pose)
+    per_px = np.abs((out * near.across).sum(axis=1))
     # a point that a pixel moves along the surface says nothing that could be weighed
     per_px = np.maximum(per_px, _ALONG_SHARE * float(np.median(per_px)))
+    # derivatives of the distances from the balls by the pose
+    own = centres(plate, pose)[ball] - [*pose[:2], 0.0]
+    around = np.column_stack([-own[:, 1], own[:, 0], np.zeros(len(own))])
+    by_size = -(out * own).sum(axis=1) / pose[3] - 0.5 * plate.diameter_mm
+    slopes = np.column_stack([-out[:, 0], -out[:, 1], -(out * around).sum(axis=1), by_size])
     return Plate(
         pose,
-        stripe[use],
-        x_px[use],
-        row_px[use],
-        ball[use],
-        at[use],
+        near.stripe,
+        near.x_px,
+        near.row_px,
+        ball,
+        near.at_mm,
         per_px,
-        _slopes(out, ball[use], plate, pose) / per_px[:, None],
+        slopes / per_px[:, None],
         off / per_px,
         float(np.sqrt((off**2).mean())),
     )
 
 
-def _slopes(out: Floats, ball: Integers, plate: SpherePlate, pose: Floats) -> Floats:
-    """(point, 4) derivatives of the distances from the balls by the pose."""
-    own = centres(plate, pose)[ball] - [*pose[:2], 0.0]
-    turned = np.column_stack([-own[:, 1], own[:, 0], np.zeros(len(own))])
-    by_size = -(out * own).sum(axis=1) / pose[3] - 0.5 * plate.diameter_mm
-    return np.column_stack([-out[:, 0], -out[:, 1], -(out * turned).sum(axis=1), by_size])
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class PlateScale:
+class PlateScale(NamedTuple):
     """A sphere plate's lengths over those described."""
 
     ratio: float
     own_std: float
-    """ratio, own_std: see `Reference` in `second_targets`."""
+    """ratio, own_std: see `Reference` in `scale`."""
     by_parameter: Floats
     """(n,) derivative of ln ratio by the calibration's parameters."""
     said: str
@@ -329,41 +293,36 @@ def plate_scale(calibration: Calibration, images: list[Peaks], plate: SpherePlat
     balls, points = sum(one.balls for one in found), sum(one.ball.size for one in found)
     rms_mm = float(np.sqrt(sum(one.rms_mm**2 * one.ball.size for one in found) / points))
     return PlateScale(
-        ratio=float(np.exp(share @ np.log([one.pose[3] for one in found]))),
-        own_std=float(np.sqrt(own**2 + of_lengths @ of_lengths)),
-        by_parameter=np.asarray(share @ ways),
-        said=f"sphere plate: {points} points on {balls} balls lie {rms_mm:.3f} mm (rms) off them",
+        float(np.exp(share @ np.log([one.pose[3] for one in found]))),
+        float(np.sqrt(own**2 + of_lengths @ of_lengths)),
+        np.asarray(share @ ways),
+        f"sphere plate: {points} points on {balls} balls lie {rms_mm:.3f} mm (rms) off them",
     )
 
 
 def _by_length(found: Plate, plate: SpherePlate) -> Floats:
     """(3,) derivatives of ln ratio by the described pitch, diameter and centres' height, 1/mm."""
     before = off_balls(found.at_mm, found.ball, plate, found.pose)[0]
-    slopes = []
-    for name in ("pitch_mm", "diameter_mm", "centre_height_mm"):
-        longer = replace(plate, **{name: getattr(plate, name) + _STEP_MM})
-        after = off_balls(found.at_mm, found.ball, longer, found.pose)[0]
-        slopes.append(found.answer((after - before) / found.per_px) / _STEP_MM)
-    return np.array(slopes)
+    after = [off_balls(found.at_mm, found.ball, longer, found.pose)[0] for longer in _longer(plate, _STEP_MM)]
+    return np.array([found.answer((one - before) / found.per_px) / _STEP_MM for one in after])
 
 
-_STEP_MM = 1e-3
-"""Step of derivatives by described lengths, mm: lengths are some 30 mm, rounding 1e-14."""
+def _longer(plate: SpherePlate, more_mm: float) -> list[SpherePlate]:
+    """Give plates whose pitch, diameter or centres' height is longer."""
+    names = ("pitch_mm", "diameter_mm", "centre_height_mm")
+    return [replace(plate, **{name: getattr(plate, name) + more_mm}) for name in names]
 
 
-_HEIGHTS = (0.6, 0.8, 1.0, 1.3)
-"""Of the projector over the belt, in distances of the camera."""
+_STEP_MM = 1e-3  # step of derivatives by described lengths, mm: lengths are some 30 mm, rounding 1e-14
+
+
+_HEIGHTS = (0.6, 0.8, 1.0, 1.3)  # of the projector over the belt, in distances of the camera
 _ANGLES_DEG = np.arange(10.0, 61.0, 2.5)
-_TRIED = 8
-"""Best places of the projector by a part of the peaks that are tried with all of them."""
-_TRIED_VIEWS = 2
-"""Images that are looked at in the first trial."""
-_PEAKS_MAX = 1500
-"""Peaks of each of them: more tell nothing more and take their time."""
-_PLATE_ROUNDS = 5
-"""Of finding the balls and adjusting."""
-_STRIPE_POINTS_MIN = 12
-"""Points of a stripe on balls, besides its belt line, that determine its plane."""
+_TRIED = 8  # best places of the projector by a part of the peaks that are tried with all of them
+_TRIED_VIEWS = 2  # images that are looked at in the first trial
+_PEAKS_MAX = 1500  # peaks of each of them: more tell nothing more and take their time
+_PLATE_ROUNDS = 5  # of finding the balls and adjusting
+_STRIPE_POINTS_MIN = 12  # points of a stripe on balls, besides its belt line, that determine its plane
 _BELT_POINTS_MAX = 3000
 """Peaks on the belt that are used: so that they do not outnumber those on balls by far."""
 
@@ -371,21 +330,12 @@ _BELT_POINTS_MAX = 3000
 def from_plate(
     observed: CalibrationSet, plate: SpherePlate, boards: Measured, free_camera: Flags, belt: Floats | None
 ) -> OnSolids:
-    """Find the planes of light.
+    """Find the planes of light from images of the sphere plate and of the empty belt; the belt must be known.
 
-    Parameters
-    ----------
-    observed
-        Images of the sphere plate and of the empty belt.
-    plate
-        As described.
-    boards, free_camera, belt
-        As of `from_solids`; the belt must be known.
+    The other parameters are as of `from_solids`.
 
-    Raises
-    ------
-    CalibrationError
-        The belt is not known or its empty image is missing; the plate is not seen; a stripe lies on no ball.
+    Raises CalibrationError: the belt is not known or its empty image is missing; the plate is not seen; a
+    stripe lies on no ball.
     """
     if belt is None or not observed.showing("belt"):
         raise CalibrationError(
@@ -403,19 +353,41 @@ def from_plate(
     )
     on_belt = on_belt[:: max(1, -(-len(on_belt) // _BELT_POINTS_MAX))]
     first = len(boards.start.shift)
+    under = 0.5 * plate.pitch_mm * max(plate.columns, plate.rows) * _UNDER
     for number in range(_PLATE_ROUNDS):
         plates = [_seen(geometry, view, plate) for view in views]
-        _check_stripes(plates, stripes)
-        measured = _measured_plate(boards, free_camera, geometry, on_belt, plates, plate, first)
+        many = np.bincount(np.concatenate([one.stripe for one in plates]), minlength=stripes)
+        missing = np.flatnonzero(many < _STRIPE_POINTS_MIN)
+        if missing.size:
+            raise CalibrationError(
+                f"stripe {', '.join(str(stripe + 1) for stripe in missing)} lies on no ball: that determines "
+                "no plane",
+                hint="add images of the sphere plate with the plate moved across the stripes",
+            )
+        pose = belt_pose(geometry.belt)
+        turns = [pose[:3, :3].T @ one.turn for one in plates]
+        places = [pose[:3, :3].T @ ([*one.pose[:2], 0.0] - pose[:3, 3]) for one in plates]
+        start = replace(
+            geometry,
+            rotation=np.concatenate([geometry.rotation[:first], turns]),
+            shift=np.concatenate([geometry.shift[:first], places]),
+        )
+        points = _points(on_belt, plates, plate, first)
+        measured = resting(boards, free_camera, start, points, [under] * len(plates), first)
         geometry = measured.robust_prefit() if number + 1 < _PLATE_ROUNDS else geometry
     adjusted = measured.adjusted()
-    return OnSolids(
-        measured,
-        adjusted,
-        (_shape(plate),),
-        tuple(_if_longer(measured, adjusted, plates, plate)),
-        0.0,
-    )
+    # adjusted again for each length, longer by its standard uncertainty; the touching planes stay parallel
+    by_tolerance = []
+    for longer in _longer(plate, plate.tolerance_mm / np.sqrt(3.0)):
+        points = _points(on_belt, plates, plate, first, longer)
+        by_tolerance.append(replace(measured, points=points).step_of(adjusted)[0])
+    top, along = plate.centre_height_mm + 0.5 * plate.diameter_mm, plate.rows * plate.pitch_mm
+    shape = Shape("sphere-plate", plate.name, (), 0, top, along, top, False)
+    return OnSolids(measured, adjusted, (shape,), tuple(by_tolerance), 0.0)
+
+
+_UNDER = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
+"""Three points under a plate that touch the belt, in halves of its longer side."""
 
 
 def _start(boards: Geometry, lines: Floats, views: tuple[Observation, ...], plate: SpherePlate) -> Geometry:
@@ -423,31 +395,28 @@ def _start(boards: Geometry, lines: Floats, views: tuple[Observation, ...], plat
     pose = belt_pose(boards.belt)
     away = float(pose[2, 3])
     line = np.column_stack([np.ones(len(lines)), -lines[:, 1], -lines[:, 0]])
-    peaks = [_thinned(view.peaks) for view in views[:: max(1, len(views) // _TRIED_VIEWS)]]
-    tried: list[tuple[int, int, Geometry]] = []
+    some = [_thinned(view.peaks) for view in views[:: max(1, len(views) // _TRIED_VIEWS)]]
+
+    def seen(geometry: Geometry, images: list[Peaks]) -> tuple[int, float]:
+        """Give how many points lie on balls, and how far off, mm."""
+        parameters = parameters_of(geometry, travel=False)
+        found = [plates for one in images if (plates := find_plate(parameters, one, plate)) is not None]
+        off_mm = max((one.rms_mm for one in found), default=np.inf)
+        return sum(one.ball.size for one in found), off_mm
+
+    tried: list[tuple[int, Geometry]] = []
     for share in _HEIGHTS:
         for angle in np.radians([*-_ANGLES_DEG, *_ANGLES_DEG]):
             high = share * away
             at = pose[:3, :3].T @ (np.array([high * np.tan(angle), 0.0, high]) - pose[:3, 3])
             planes = boards.belt + line * ((1.0 - boards.belt @ at) / (line @ at))[:, None]
             geometry = replace(boards, planes=planes)
-            parameters = parameters_of(geometry, travel=False)
-            found = [find_plate(parameters, one, plate) for one in peaks]
-            on_balls = sum(one.ball.size for one in found if one is not None)
-            tried.append((-on_balls, len(tried), geometry))
-    fits: list[tuple[float, int, Geometry]] = []
-    for _, number, geometry in sorted(tried)[:_TRIED]:
-        found = [find_plate(parameters_of(geometry, travel=False), view.peaks, plate) for view in views]
-        points = sum(one.ball.size for one in found if one is not None)
-        off_mm = max((one.rms_mm for one in found if one is not None), default=np.inf)
-        fits.append((off_mm / max(points, 1), number, geometry))
-    best = min(fits)
-    if not np.isfinite(best[0]):
-        raise CalibrationError(
-            f"{views[0].frame.name}: the sphere plate is not seen",
-            hint="lay it under the stripes, its columns across them; are its lengths right?",
-        )
-    return best[2]
+            tried.append((seen(geometry, some)[0], geometry))
+    fits = []
+    for _, geometry in sorted(tried, key=lambda one: -one[0])[:_TRIED]:
+        points, off_mm = seen(geometry, [view.peaks for view in views])
+        fits.append((off_mm / max(points, 1), geometry))
+    return min(fits, key=lambda one: one[0])[1]
 
 
 def _thinned(peaks: Peaks) -> Peaks:
@@ -468,98 +437,24 @@ def _seen(geometry: Geometry, view: Observation, plate: SpherePlate) -> Plate:
     return found
 
 
-def _check_stripes(plates: list[Plate], stripes: int) -> None:
-    many = np.bincount(np.concatenate([one.stripe for one in plates]), minlength=stripes)
-    missing = np.flatnonzero(many < _STRIPE_POINTS_MIN)
-    if missing.size:
-        names = ", ".join(str(stripe + 1) for stripe in missing)
-        raise CalibrationError(
-            f"stripe {names} lies on no ball: that determines no plane",
-            hint="add images of the sphere plate with the plate moved across the stripes",
-        )
+def _points(
+    on_belt: Floats, plates: list[Plate], plate: SpherePlate, first: int, longer: SpherePlate | None = None
+) -> StripePoints:
+    """Peaks on the belt and on balls; a ball's surface at a peak is the plane that touches it there.
 
-
-def _measured_plate(
-    boards: Measured,
-    free_camera: Flags,
-    geometry: Geometry,
-    on_belt: Floats,
-    plates: list[Plate],
-    plate: SpherePlate,
-    first: int,
-) -> Measured:
-    pose = belt_pose(geometry.belt)
-    turns = np.stack([pose[:3, :3].T @ _yaw(one) for one in plates])
-    places = np.stack([pose[:3, :3].T @ ([*one.pose[:2], 0.0] - pose[:3, 3]) for one in plates])
-    start = replace(
-        geometry,
-        rotation=np.concatenate([geometry.rotation[:first], turns]),
-        shift=np.concatenate([geometry.shift[:first], places]),
-    )
-    side = 0.5 * plate.pitch_mm * max(plate.columns, plate.rows)
-    under = side * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
-    return resting(
-        boards, free_camera, start, _points(on_belt, plates, plate, first), [under] * len(plates), first
-    )
-
-
-def _points(on_belt: Floats, plates: list[Plate], plate: SpherePlate, first: int) -> StripePoints:
-    """Peaks on the belt and on balls; a ball's surface at a peak is the plane that touches it there."""
+    Its distance from the plate's origin is that of a plate with other lengths, if one is given.
+    """
     tables = [np.column_stack([np.full(len(on_belt), ON_BELT), on_belt])]
     faces = [np.tile([0.0, 0.0, 1.0, 0.0], (len(on_belt), 1))]
+    lengths = longer or plate
     for number, one in enumerate(plates):
         same = np.ones(one.ball.size)
         std = np.median(on_belt[:, 3]) * same
         tables.append(np.column_stack([(first + number) * same, one.stripe, one.x_px, one.row_px, std]))
-        faces.append(np.column_stack([_out(one, plate), _distances(one, plate, plate)]))
+        way = one.at_mm - centres(plate, one.pose)[one.ball]
+        out = (way / np.sqrt((way**2).sum(axis=1))[:, None]) @ one.turn
+        own = centres(lengths, np.array([0.0, 0.0, 0.0, 1.0]))[one.ball]
+        faces.append(np.column_stack([out, (out * own).sum(axis=1) + 0.5 * lengths.diameter_mm]))
     pose, stripe, x_px, row_px, std_px = np.ascontiguousarray(np.concatenate(tables).T)
-    return StripePoints(
-        pose.astype(np.int64),
-        stripe.astype(np.int64),
-        x_px,
-        row_px,
-        std_px,
-        np.zeros(pose.size),
-        np.concatenate(faces),
-    )
-
-
-def _if_longer(
-    measured: Measured, adjusted: Adjusted, plates: list[Plate], plate: SpherePlate
-) -> list[Geometry]:
-    """Adjust again for each length, longer by its standard uncertainty; the touching planes stay parallel."""
-    found = []
-    for name in ("pitch_mm", "diameter_mm", "centre_height_mm"):
-        longer = replace(plate, **{name: getattr(plate, name) + plate.tolerance_mm / np.sqrt(3.0)})
-        if measured.points.face is None:
-            raise AssertionError("peaks lie on faces")
-        face = measured.points.face.copy()
-        face[-sum(one.ball.size for one in plates) :, 3] = np.concatenate(
-            [_distances(one, plate, longer) for one in plates]
-        )
-        found.append(replace(measured, points=replace(measured.points, face=face)).stepped(adjusted))
-    return found
-
-
-def _out(one: Plate, plate: SpherePlate) -> Floats:
-    """(point, 3) directions away from the balls' centres, in the plate's frame."""
-    way = one.at_mm - centres(plate, one.pose)[one.ball]
-    return np.asarray((way / np.sqrt((way**2).sum(axis=1))[:, None]) @ _yaw(one))
-
-
-def _distances(one: Plate, plate: SpherePlate, longer: SpherePlate) -> Floats:
-    """(point,) distance of each touching plane from the plate's origin, of a plate with other lengths, mm."""
-    own = centres(longer, np.array([0.0, 0.0, 0.0, 1.0]))[one.ball]
-    return np.asarray((_out(one, plate) * own).sum(axis=1) + 0.5 * longer.diameter_mm)
-
-
-def _yaw(one: Plate) -> Floats:
-    """(3, 3) to the belt frame from the plate's."""
-    return np.asarray(turned(np.array([[0.0, 0.0, one.pose[2]]]))[0])
-
-
-def _shape(plate: SpherePlate) -> Shape:
-    """For its name and height."""
-    top = plate.centre_height_mm + 0.5 * plate.diameter_mm
-    along = plate.rows * plate.pitch_mm
-    return Shape("sphere-plate", plate.name, (), 0, top, along, top, False, (0.0,))
+    whole = pose.astype(np.int64), stripe.astype(np.int64)
+    return StripePoints(*whole, x_px, row_px, std_px, np.zeros(pose.size), np.concatenate(faces))

@@ -21,19 +21,13 @@ from roemetry.records import Board
 from roemetry.records.arrays import Floats, Integers
 from roemetry_pinhole.boards import BoardView
 from roemetry_pinhole.bundle import Adjusted, Measured
-from roemetry_pinhole.geometry import unknowns_of
 from roemetry_pinhole.numbering import PoseLines, distances, planes_of, spacing_mm
 
-_SIZE_MAX = 0.3
-"""Of the logarithm: nobody describes a print so wrongly."""
-_TRIED = 6
-"""Sizes that are tried in full: the right one and those at which the neighbours' planes fit."""
-_ON_PLANE = 0.1
-"""Of the spacing of stripes: a line that is further from each plane lies on none."""
-_ALIKE = 0.01
-"""Difference of the logarithms by a line's two ends: more, and the line is not this plane's."""
-_STRETCH_STDS, _STRETCH_MIN = 5.0, 0.002
-"""A stretch is told from here on: 0.2 % is what printers do."""
+_SIZE_MAX = 0.3  # of the logarithm: nobody describes a print so wrongly
+_TRIED = 6  # sizes that are tried in full: the right one and those at which the neighbours' planes fit
+_ON_PLANE = 0.1  # of the spacing of stripes: a line that is further from each plane lies on none
+_ALIKE = 0.01  # difference of the logarithms by a line's two ends: more, and the line is not this plane's
+_STRETCH_STDS, _STRETCH_MIN = 5.0, 0.002  # a stretch is told from here on: 0.2 % is what printers do
 _NOT_SQUARE = 0.004
 """Where boards all lie alike in the image fx over fy takes the stretch: from here on it is told."""
 _SQUARE = 0.001
@@ -93,23 +87,6 @@ def _misfit(poses: list[PoseLines]) -> float:
     )
 
 
-def compared(found: Adjusted, boards: Sequence[Board]) -> list[tuple[Board, float, float]]:
-    """Give each further board whose size was looked for: its size over what is described.
-
-    Beside it stands the relative standard uncertainty, by what was seen and by the board's own tolerance.
-    """
-    at = found.unknowns.prints
-    return [
-        (
-            board,
-            float(np.exp(found.geometry.prints[number, 0])),
-            float(np.hypot(np.sqrt(found.covariance[at[number, 0], at[number, 0]]), tolerance_of(board))),
-        )
-        for number, board in enumerate(boards)
-        if number < len(at) and at[number, 0] >= 0
-    ]
-
-
 def tolerance_of(board: Board) -> float:
     """Give the relative standard uncertainty of a board's lengths."""
     return float(board.tolerance_mm / np.sqrt(3.0) / board.size_mm.max())
@@ -124,14 +101,7 @@ def stretched(measured: Measured, found: Adjusted, views: Sequence[BoardView]) -
     free[list(boards), 1] = True
     geometry = replace(found.geometry, prints=np.zeros((count, 2)))
     geometry.prints[: len(found.geometry.prints)] = found.geometry.prints
-    unknowns = unknowns_of(
-        geometry,
-        free_camera=found.unknowns.camera >= 0,
-        planes=bool((found.unknowns.planes >= 0).any()),
-        belt=bool((found.unknowns.belt >= 0).any()),
-        travel=bool((found.unknowns.travel >= 0).any()),
-        prints=free,
-    )
+    unknowns = found.unknowns.of(geometry, free)
     moved, covariance = replace(measured, unknowns=unknowns).step_of(replace(found, geometry=geometry))
     before, after = (abs(float(np.log(one.camera[1] / one.camera[0]))) for one in (geometry, moved))
     said = []

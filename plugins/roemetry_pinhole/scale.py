@@ -14,41 +14,36 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from roemetry.errors import CalibrationError
-from roemetry.records import Board, CalibrationSet, Peaks, Ruler
+from roemetry.records import CalibrationSet, Peaks
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry_pinhole.bundle import with_disagreement
 from roemetry_pinhole.from_solids import solids_in
+from roemetry_pinhole.geometry import Bend
 from roemetry_pinhole.joint import Joint
-from roemetry_pinhole.pinhole_plane import by_parameter, lines_at_height, parameters_of, points_of
-from roemetry_pinhole.plates import plate_scale
-from roemetry_pinhole.prints import compared, tolerance_of
+from roemetry_pinhole.pinhole_plane import by_parameter, flat, lines_at_height, parameters_of, points_of
+from roemetry_pinhole.plates import BELT_MM, plate_scale
+from roemetry_pinhole.prints import tolerance_of
 
 
 def of_lengths(joined: Joint, parameters: Mapping[str, Floats]) -> Floats:
     """Give the covariance that the targets' own tolerances add to that of the adjustment."""
-    if joined.solids is None:
-        if joined.board is None:
-            size = flat(parameters).size
-            return np.zeros((size, size))
-        return grown(parameters, tolerance_of(joined.board) ** 2)
     mean = flat(parameters)
     found = np.zeros((mean.size, mean.size))
-    for geometry in joined.solids.by_tolerance:
-        way = flat(parameters_of(geometry, travel=False)) - mean
-        found += np.outer(way, way)
+    if joined.solids is not None:
+        for geometry in joined.solids.by_tolerance:
+            way = flat(parameters_of(geometry, travel=False)) - mean
+            found += np.outer(way, way)
+    elif joined.board is not None:
+        way = by_scale(parameters)
+        found = tolerance_of(joined.board) ** 2 * np.outer(way, way)
     return found
-
-
-def grown(parameters: Mapping[str, Floats], variance: float) -> Floats:
-    """Give the covariance if all lengths grow together, by a share of the given variance."""
-    way = by_scale(parameters)
-    return np.asarray(variance * np.outer(way, way))
 
 
 def by_scale(parameters: Mapping[str, Floats]) -> Floats:
@@ -61,15 +56,8 @@ def by_scale(parameters: Mapping[str, Floats]) -> Floats:
     return flat(found)
 
 
-def flat(parameters: Mapping[str, Floats]) -> Floats:
-    """Give all parameters in the order of the covariance."""
-    return np.concatenate([np.ravel(array) for array in parameters.values()])
-
-
-_ROUNDS_MAX = 8
-"""Of scaling the board: each leaves about the square of the error before."""
-_STILL = 1e-6
-"""Relative change of the scale at which it ends: a hundredth of any reference's uncertainty."""
+_ROUNDS_MAX = 8  # of scaling the board: each leaves about the square of the error before
+_STILL = 1e-6  # relative change of the scale at which it ends: a hundredth of any reference's uncertainty
 
 
 def scaled_by_references(
@@ -77,19 +65,10 @@ def scaled_by_references(
 ) -> Calibration:
     """Make the calibration in which the references have the lengths that are described.
 
-    Parameters
-    ----------
-    joined
-        The adjustment with the board's pitch as described.
-    observed
-        The images of the references.
-    made
-        Gives the calibration of an adjustment, its covariance without that of any length.
+    `joined` is the adjustment with the board's pitch as described, `observed` holds the references' images,
+    and `made` gives the calibration of an adjustment, its covariance without that of any length.
 
-    Raises
-    ------
-    CalibrationError
-        There is no reference, or two contradict each other.
+    Raises CalibrationError: there is no reference, or two contradict each other.
     """
     if joined.board is None or joined.solids is not None:
         raise CalibrationError(
@@ -99,8 +78,7 @@ def scaled_by_references(
     described_mm = joined.board.pitch_mm
     for _ in range(_ROUNDS_MAX):
         calibration = made(joined)
-        found, missed = references(calibration, observed)
-        found += _other_boards(joined, observed, calibration, 0.0)
+        found, missed = references(calibration, observed, joined=joined)
         if not found:
             raise CalibrationError(
                 "the scale is to be looked for, and nothing beside the board tells it"
@@ -109,45 +87,56 @@ def scaled_by_references(
                 "you measured the board with a ruler, correct pitch_mm and tolerance_mm and leave "
                 "`scale: free` out",
             )
-        share = _shares(found, calibration.covariance)
+        weight = np.array([max(one.std(calibration.covariance), 1e-9) ** -2 for one in found])
+        share = weight / weight.sum()
         off = float(share @ np.log([one.ratio for one in found]))
         if abs(off) < _STILL:
             break
         joined = rescaled(joined, float(np.exp(-off)))
-    _check_agreement(found, calibration.covariance)
-    covariance, std = _covariance(found, share, calibration)
-    names = ", ".join(one.name for one in found)
+    covariance = calibration.covariance
+    for one, other in combinations(found, 2):
+        apart = one.by_parameter - other.by_parameter
+        std = float(np.sqrt(one.own_std**2 + other.own_std**2 + apart @ covariance @ apart))
+        _check_alike(one.name, other.name, one.what, one.ratio / other.ratio, std, _CALLIPER)
+    # all lengths follow −ln ratio, which depends on the parameters and on the references' own errors
+    way, slope = by_scale(calibration.parameters), share @ np.array([one.by_parameter for one in found])
+    own = float((share**2) @ np.array([one.own_std**2 for one in found]))
+    kept = np.eye(way.size) - np.outer(way, slope)
+    std = float(np.sqrt(own + slope @ covariance @ slope))
     pitch_mm = float(calibration.target["pitch_mm"])
     note = (
-        f"scale: looked for, from {names}; the board's pitch comes out as {pitch_mm:.5g} mm, "
-        f"{pitch_mm / described_mm:.4f} ± {std:.4f} times what is described"
+        f"scale: looked for, from {', '.join(one.name for one in found)}; the board's pitch comes out as "
+        f"{pitch_mm:.5g} mm, {pitch_mm / described_mm:.4f} ± {std:.4f} times what is described"
     )
     residuals = {"pitch_ratio": pitch_mm / described_mm, "pitch_ratio_std": std}
     for one in found if len(found) > 1 else ():
-        residuals |= {one.key: one.ratio, f"{one.key}_std": one.std(calibration.covariance)}
+        residuals |= {one.key: one.ratio, f"{one.key}_std": one.std(covariance)}
     return replace(
         calibration,
-        covariance=covariance,
+        covariance=kept @ covariance @ kept.T + own * np.outer(way, way),
         residuals={**calibration.residuals, **residuals},
         notes=(*calibration.notes, note, *missed),
     )
 
 
+def _check_alike(by: str, name: str, what: str, ratio: float, std: float, hint: str) -> None:
+    """Refuse two sources of one scale that contradict each other."""
+    if abs(np.log(ratio)) > CONFLICT_STDS * std:
+        raise CalibrationError(
+            f"{by} and {name} contradict each other: by the {by} {what} is {ratio:.4f} ± {std:.4f} times "
+            "what is described",
+            hint=hint,
+        )
+
+
 def rescaled(joined: Joint, factor: float) -> Joint:
     """Adjust again with a board that is larger by a factor; what stands under it keeps its thickness."""
     board, measured = joined.board, joined.measured
-    if board is None:
-        raise AssertionError("there is a board")
+    assert board is not None, "the scale is that of a board"
     found = joined.adjusted.geometry
     bend = found.bend
     if bend is not None:
-        bend = replace(
-            bend,
-            middle_mm=factor * bend.middle_mm,
-            reach_mm=factor * bend.reach_mm,
-            coefficients_mm=factor * bend.coefficients_mm,
-        )
-    mine = measured.corners.board == 0
+        bend = Bend(factor * bend.middle_mm, factor * bend.reach_mm, factor * bend.coefficients_mm)
     prints = found.prints + np.array([np.log(factor), 0.0])
     start = replace(
         found,
@@ -158,13 +147,13 @@ def rescaled(joined: Joint, factor: float) -> Joint:
         travel=factor * found.travel,
         bend=bend,
     )
+    corners, feet = measured.corners, measured.feet
+    size = np.where(corners.board == 0, factor, 1.0)[:, None]
     measured = replace(
         measured,
         start=start,
-        corners=replace(
-            measured.corners, board_mm=np.where(mine, factor, 1.0)[:, None] * measured.corners.board_mm
-        ),
-        feet=replace(measured.feet, board_mm=measured.feet.board_mm * [factor, factor, 1.0]),
+        corners=replace(corners, board_mm=size * corners.board_mm),
+        feet=replace(feet, board_mm=feet.board_mm * [factor, factor, 1.0]),
     )
     marker_mm = None if board.marker_mm is None else factor * board.marker_mm
     return replace(
@@ -175,47 +164,10 @@ def rescaled(joined: Joint, factor: float) -> Joint:
     )
 
 
-def _shares(found: list[Reference], covariance: Floats) -> Floats:
-    weight = np.array([max(one.std(covariance), 1e-9) ** -2 for one in found])
-    return np.asarray(weight / weight.sum())
-
-
-def _check_agreement(found: list[Reference], covariance: Floats) -> None:
-    for number, one in enumerate(found):
-        for other in found[number + 1 :]:
-            apart = one.by_parameter - other.by_parameter
-            std = float(np.sqrt(one.own_std**2 + other.own_std**2 + apart @ covariance @ apart))
-            ratio = one.ratio / other.ratio
-            if abs(np.log(ratio)) > CONFLICT_STDS * std:
-                raise CalibrationError(
-                    f"{one.name} and {other.name} contradict each other: by the {other.name} {one.what} is "
-                    f"{ratio:.4f} ± {std:.4f} times what is described",
-                    hint="measure both with a calliper, or leave one out",
-                )
-
-
-def _covariance(found: list[Reference], share: Floats, calibration: Calibration) -> tuple[Floats, float]:
-    """Covariance when the references' lengths are kept, and the scale's relative standard uncertainty.
-
-    All lengths follow −ln ratio, which depends on the parameters and on the references' own errors.
-    """
-    way = by_scale(calibration.parameters)
-    slope = share @ np.array([one.by_parameter for one in found])
-    own = float((share**2) @ np.array([one.own_std**2 for one in found]))
-    kept = np.eye(way.size) - np.outer(way, slope)
-    covariance = calibration.covariance
-    std = float(np.sqrt(own + slope @ covariance @ slope))
-    return np.asarray(kept @ covariance @ kept.T + own * np.outer(way, way)), std
-
-
 CONFLICT_STDS = 3.0
 """Standard uncertainties: two references of one scale differ by more once in 370."""
-_STEP_MM = 0.05
-"""Cells of the histogram of heights, mm: below a peak's noise of some 0.1 mm."""
-_BELT_MM = 0.6
-"""A peak this near to the belt on any stripe may be belt, and is not used."""
-_POINTS_MIN = 60
-"""Points near a level: fewer gather by chance, for every peak is taken for every stripe."""
+_STEP_MM = 0.05  # cells of the histogram of heights, mm: below a peak's noise of some 0.1 mm
+_POINTS_MIN = 60  # points near a level: fewer gather by chance, for every peak is taken for every stripe
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -237,39 +189,36 @@ class Reference:
         """Give the ratio's relative standard uncertainty, the calibration's part included."""
         return float(np.sqrt(self.own_std**2 + self.by_parameter @ covariance @ self.by_parameter))
 
+    def checked(self, by: str, covariance: Floats, hint: str) -> tuple[dict[str, float], str]:
+        """Give residuals and a note; CalibrationError where it contradicts what the scale comes from."""
+        std = self.std(covariance)
+        _check_alike(by, self.name, self.what, self.ratio, std, hint)
+        note = f"{self.what} comes out {self.ratio:.4f} ± {std:.4f} times as described"
+        return {self.key: self.ratio, f"{self.key}_std": std}, note
+
 
 def check_scale(
     calibration: Calibration, observed: CalibrationSet, joined: Joint | None = None
 ) -> dict[str, Any]:
     """Measure solids, the prints and the belt's way; give residuals and notes with what was found.
 
-    Raises
-    ------
-    CalibrationError
-        One contradicts what the scale comes from: the ratio and its uncertainty are told.
+    Raises CalibrationError: one contradicts what the scale comes from: the ratio and its uncertainty are
+    told.
     """
     residuals, notes = dict(calibration.residuals), list(calibration.notes)
     kind, board = str(calibration.target.get("kind", "known planes")), observed.board
     by_board = board is not None and kind == board.kind
     board_std = tolerance_of(board) if by_board and board is not None else 0.0
-    found, missed = references(calibration, observed, board_std)
-    if joined is not None:
-        found += _other_boards(joined, observed, calibration, board_std)
+    found, missed = references(calibration, observed, board_std, joined)
     first = "board" if by_board else kind
     if board is not None and by_board and observed.more_boards:
         first = f"board {board.name}"
     if by_board and not found:
         notes.append(_ALONE)
     for one in found:
-        std = one.std(calibration.covariance)
-        if abs(one.ratio - 1.0) > CONFLICT_STDS * std:
-            raise CalibrationError(
-                f"{first} and {one.name} contradict each other: by the {first} {one.what} is "
-                f"{one.ratio:.4f} ± {std:.4f} times what is described",
-                hint=_HINT if by_board else "measure both with a calliper, or leave one out",
-            )
-        residuals |= {one.key: one.ratio, f"{one.key}_std": std}
-        notes.append(f"{one.what} comes out {one.ratio:.4f} ± {std:.4f} times as described")
+        figures, note = one.checked(first, calibration.covariance, _HINT if by_board else _CALLIPER)
+        residuals |= figures
+        notes.append(note)
     return {"residuals": residuals, "notes": (*notes, *missed)}
 
 
@@ -278,6 +227,7 @@ _ALONE = (
     "Measure the print with a calliper over as many squares as there are; a second board (`more_boards`), a "
     "block or `ruler` checks it"
 )
+_CALLIPER = "measure both with a calliper, or leave one out"
 _HINT = (
     "measure the board's pitch and the reference with a calliper: was the board printed to fit the page? "
     "`scale: free` takes the scale from the reference"
@@ -285,102 +235,68 @@ _HINT = (
 
 
 def references(
-    calibration: Calibration, observed: CalibrationSet, board_std: float = 0.0
+    calibration: Calibration, observed: CalibrationSet, board_std: float = 0.0, joined: Joint | None = None
 ) -> tuple[list[Reference], list[str]]:
     """Give what can be measured with a calibration though it is known, and notes on what was seen.
 
-    Parameters
-    ----------
-    calibration, observed
-        The calibration, and the images of the references.
-    board_std
-        Relative standard uncertainty of the board's lengths, where the scale comes from them.
+    `board_std` is the relative standard uncertainty of the board's lengths, where the scale comes from them;
+    further boards' prints are among the references where the adjustment `joined` is given.
     """
     found: list[Reference] = []
     notes: list[str] = []
-    asked: list[tuple[str, tuple[float, ...], float]] = []
-    if observed.block is not None:
-        asked.append(("block", (observed.block.height_mm,), observed.block.tolerance_mm))
-    if observed.staircase is not None:
-        asked.append(("staircase", observed.staircase.heights_mm, observed.staircase.tolerance_mm))
-    if observed.pyramid is not None:
-        asked.append(("pyramid", (observed.pyramid.height_mm,), observed.pyramid.tolerance_mm))
-    for name, heights, tolerance_mm in asked:
-        views = observed.showing(name)
-        if not views:
+    none = np.zeros(len(calibration.covariance))
+    for name in ("block", "staircase", "pyramid"):
+        solid, views = getattr(observed, name), observed.showing(name)
+        if solid is None or not views:
             continue
+        heights = solid.heights_mm if name == "staircase" else (solid.height_mm,)
         seen = [_height(calibration, [view.peaks for view in views], height) for height in heights]
         known = [(m, u, h) for (m, u), h in zip(seen, heights, strict=True) if np.isfinite(m)]
         if not known:
             notes.append(f"the {name} was not found in its images: it checks nothing")
             continue
-        measured, std, height = (np.array(column) for column in zip(*known, strict=True))
-        own = np.hypot(std, tolerance_mm / np.sqrt(3.0)) / height
-        weight = own**-2
+        measured, stds, height = (np.array(column) for column in zip(*known, strict=True))
+        weight = (np.hypot(stds, solid.tolerance_mm / np.sqrt(3.0)) / height) ** -2
         ratio = float((weight * measured / height).sum() / weight.sum())
         way = _height_by_parameter(calibration, float(height.max()))
-        found.append(
-            Reference(
-                name,
-                f"{name}_height_ratio",
-                f"the {name}'s height",
-                ratio,
-                float(weight.sum() ** -0.5),
-                way,
-            )
-        )
+        key, what = f"{name}_height_ratio", f"the {name}'s height"
+        found.append(Reference(name, key, what, ratio, float(weight.sum() ** -0.5), way))
     plates = [view.peaks for view in observed.showing("sphere_plate")]
     if observed.sphere_plate is not None and plates:
         scale = plate_scale(calibration, plates, observed.sphere_plate)
         if scale is None:
             notes.append("the sphere plate was not found in its images: it checks nothing")
         else:
-            what = "the sphere plate's lengths"
-            own = scale.ratio, scale.own_std, scale.by_parameter
+            what, own = "the sphere plate's lengths", (scale.ratio, scale.own_std, scale.by_parameter)
             found.append(Reference("sphere plate", "sphere_plate_ratio", what, *own))
             notes.append(scale.said)
-    if observed.ruler is not None and observed.board is not None and "pitch_mm" in calibration.target:
-        found.append(_ruler(calibration, observed.board, observed.ruler, board_std))
+    board, ruler = observed.board, observed.ruler
+    if ruler is not None and board is not None and "pitch_mm" in calibration.target:
+        # the pitch is no parameter: what peaks and marks are uncertain by does not change the print's size
+        ratio = float(calibration.target["pitch_mm"]) / board.pitch_mm * ruler.printed_mm / ruler.measured_mm
+        std = float(np.hypot(ruler.std_mm / ruler.measured_mm, board_std))
+        found.append(Reference("ruler", "ruler_ratio", "the print's length", ratio, std, none))
     if observed.mm_per_count is not None and "travel_mm_per_count" in calibration.parameters:
-        found.append(_encoder(calibration.parameters, *observed.mm_per_count))
+        known_mm, std_mm = observed.mm_per_count
+        travel = calibration.parameters["travel_mm_per_count"]
+        size = float(np.sqrt(travel @ travel))
+        parts = {name: np.zeros_like(array) for name, array in calibration.parameters.items()}
+        way = flat({**parts, "travel_mm_per_count": travel / size**2})
+        what = "the belt's way per encoder count"
+        found.append(Reference("encoder", "encoder_ratio", what, size / known_mm, std_mm / known_mm, way))
+    if joined is not None:
+        at, adjusted = joined.adjusted.unknowns.prints, joined.adjusted
+        for number in np.flatnonzero(at[:, 0] >= 0) if at.size else ():
+            print_of = observed.boards[number]  # whose size was looked for
+            size = float(np.exp(adjusted.geometry.prints[number, 0]))
+            seen_std = np.sqrt(adjusted.covariance[at[number, 0], at[number, 0]])
+            what = f"the pitch of the board {print_of.name}"
+            key, std = (
+                f"board_{number + 1}_ratio",
+                float(np.hypot(np.hypot(seen_std, tolerance_of(print_of)), board_std)),
+            )
+            found.append(Reference(f"board {print_of.name}", key, what, size, std, none))
     return found, notes
-
-
-def _other_boards(
-    joined: Joint, observed: CalibrationSet, calibration: Calibration, board_std: float
-) -> list[Reference]:
-    """Give further boards' prints as the calibration has them, over what is described."""
-    return [
-        Reference(
-            f"board {board.name}",
-            f"board_{observed.boards.index(board) + 1}_ratio",
-            f"the pitch of the board {board.name}",
-            ratio,
-            float(np.hypot(std, board_std)),
-            np.zeros(len(calibration.covariance)),
-        )
-        for board, ratio, std in compared(joined.adjusted, observed.boards)
-    ]
-
-
-def _ruler(calibration: Calibration, board: Board, ruler: Ruler, board_std: float) -> Reference:
-    """The print as the calibration has it, by its pitch, over what the ruler says."""
-    grown = float(calibration.target["pitch_mm"]) / board.pitch_mm
-    ratio = grown * ruler.printed_mm / ruler.measured_mm
-    own_std = float(np.hypot(ruler.std_mm / ruler.measured_mm, board_std))
-    # the pitch is no parameter: what peaks and marks are uncertain by does not change the print's size
-    return Reference(
-        "ruler", "ruler_ratio", "the print's length", ratio, own_std, np.zeros(len(calibration.covariance))
-    )
-
-
-def _encoder(parameters: Mapping[str, Floats], known_mm: float, known_std_mm: float) -> Reference:
-    travel = parameters["travel_mm_per_count"]
-    size = float(np.sqrt(travel @ travel))
-    way = {name: np.zeros_like(array) for name, array in parameters.items()}
-    way["travel_mm_per_count"] = travel / size**2
-    what = "the belt's way per encoder count"
-    return Reference("encoder", "encoder_ratio", what, size / known_mm, known_std_mm / known_mm, flat(way))
 
 
 def _height(calibration: Calibration, images: list[Peaks], height_mm: float) -> tuple[float, float]:
@@ -390,32 +306,27 @@ def _height(calibration: Calibration, images: list[Peaks], height_mm: float) -> 
     """
     heights = []
     for peaks in images:
-        z = _heights_of(calibration, peaks)
-        on_belt = (np.abs(z) < _BELT_MM).any(axis=0)
+        stripe, peak = (index.ravel() for index in np.indices((calibration.stripe_count, len(peaks))))
+        row_px = peaks.row.astype(np.float64)
+        at = points_of(calibration.parameters, stripe, peaks.x_px[peak], row_px[peak])
+        z = at[:, 2].reshape(calibration.stripe_count, -1)
+        on_belt = (np.abs(z) < BELT_MM).any(axis=0)
         heights.append(z[:, ~on_belt].ravel())
-    z = np.concatenate(heights) if heights else np.empty(0)
+    z = np.concatenate(heights)
     room = 0.08 * height_mm + 0.3
     z = z[np.abs(z - height_mm) < room]
     if z.size < _POINTS_MIN:
         return np.nan, np.nan
     count, edge = np.histogram(z, np.arange(height_mm - room, height_mm + room + _STEP_MM, _STEP_MM))
     smooth = np.convolve(count, np.ones(3), "same")
-    peak = float(edge[smooth.argmax()]) + 0.5 * _STEP_MM
+    peak_mm = float(edge[smooth.argmax()]) + 0.5 * _STEP_MM
     for _ in range(4):
-        near = z[np.abs(z - peak) < 0.25]
+        near = z[np.abs(z - peak_mm) < 0.25]
         if near.size < _POINTS_MIN:
             return np.nan, np.nan
-        peak = float(near.mean())
+        peak_mm = float(near.mean())
     batches = np.array([part.mean() for part in np.array_split(near, 12)])
-    return peak, float(batches.std(ddof=1) / np.sqrt(12.0))
-
-
-def _heights_of(calibration: Calibration, peaks: Peaks) -> Floats:
-    """Give (stripe, peak) the height each peak would have on each plane, mm."""
-    stripe, peak = np.indices((calibration.stripe_count, len(peaks)))
-    row_px = peaks.row.astype(np.float64)
-    at = points_of(calibration.parameters, stripe.ravel(), peaks.x_px[peak.ravel()], row_px[peak.ravel()])
-    return at[:, 2].reshape(stripe.shape)
+    return peak_mm, float(batches.std(ddof=1) / np.sqrt(12.0))
 
 
 def _height_by_parameter(calibration: Calibration, height_mm: float) -> Floats:
@@ -434,9 +345,7 @@ def check_beside_solids(
     """Give residuals and notes of a calibration from solids with what its other targets say."""
     residuals, notes = check_solids(observed, made)
     found = replace(
-        calibration,
-        residuals={**calibration.residuals, **residuals},
-        notes=(*calibration.notes, *notes),
+        calibration, residuals={**calibration.residuals, **residuals}, notes=(*calibration.notes, *notes)
     )
     # no board's print is what this scale comes from
     kinds = [shows for shows, _ in solids_in(observed)] or ["sphere_plate"]
@@ -448,50 +357,27 @@ def check_solids(
 ) -> tuple[dict[str, float], list[str]]:
     """Leave out each kind of solid in turn, and measure it with what the others give.
 
-    Parameters
-    ----------
-    observed
-        The images of solids.
-    made
-        Gives the calibration from a set; raises CalibrationError where it gives none.
+    `made` gives the calibration of a set, or raises CalibrationError. Gives residuals and notes; of solids
+    that the others could not do without, a note.
 
-    Returns
-    -------
-    tuple
-        Residuals and notes; of solids that the others could not do without, a note.
-
-    Raises
-    ------
-    CalibrationError
-        One contradicts the others: the ratio and its uncertainty are told.
+    Raises CalibrationError: one contradicts the others: the ratio and its uncertainty are told.
     """
     residuals: dict[str, float] = {}
     notes: list[str] = []
     kinds = list(dict.fromkeys(shows for shows, _ in solids_in(observed)))
     for left in kinds if len(kinds) > 1 else ():
-        others = ", ".join(kind for kind in kinds if kind != left)
+        others = [kind for kind in kinds if kind != left]
         try:
             calibration = made(_without(observed, [left]))
         except CalibrationError as error:
             notes.append(f"{left}: not checked: without it there is no calibration: {error.message}")
             continue
-        alone = replace(_without(observed, [kind for kind in kinds if kind != left]), mm_per_count=None)
-        found, said = references(calibration, alone)
+        found, said = references(calibration, replace(_without(observed, others), mm_per_count=None))
         notes += said
-        for one in found:
-            if one.name != left:
-                continue
-            std = one.std(calibration.covariance)
-            if abs(one.ratio - 1.0) > CONFLICT_STDS * std:
-                raise CalibrationError(
-                    f"{others} and {left} contradict each other: by the {others} {one.what} is "
-                    f"{one.ratio:.4f} ± {std:.4f} times what is described",
-                    hint="measure both with a calliper, or leave one out",
-                )
-            residuals |= {one.key: one.ratio, f"{one.key}_std": std}
-            notes.append(
-                f"{one.what} comes out {one.ratio:.4f} ± {std:.4f} times as described by the {others} alone"
-            )
+        for one in (one for one in found if one.name == left):
+            figures, note = one.checked(", ".join(others), calibration.covariance, _CALLIPER)
+            residuals |= figures
+            notes.append(f"{note} by the {', '.join(others)} alone")
     return residuals, notes
 
 

@@ -12,7 +12,6 @@ It fails where no rows show all stripes, and where the solid is not seen beside 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,16 +50,15 @@ class Shape:
     faces: tuple[Face, ...]
     """All that stripes can lie on, but for the belt."""
     top: int
-    """Index of its highest level face."""
     height_mm: float
-    """Height of that face."""
+    """top, height_mm: index and height of its highest level face."""
     along_mm: float
     along_height_mm: float
     """along_mm, along_height_mm: extent along the stripes over which they are not on the belt, and the height
     at its ends."""
     wide_top: bool
     """Whether all stripes that lie on the solid reach its highest face."""
-    turns_deg: tuple[float, ...]
+    turns_deg: tuple[float, ...] = (0.0,)
     """Ways round it may lie, as far as its shape tells them apart."""
 
 
@@ -68,87 +66,43 @@ def shape_of(solid: Solid) -> Shape:
     """Give the shape of a block, a staircase or a truncated pyramid."""
     match solid:
         case Block():
-            return _block(solid)
+            half, high = 0.5 * solid.width_mm, solid.height_mm
+            top = _level(solid.length_mm, -half, half, high, (True, True))
+            return Shape("block", solid.name, (top,), 0, high, solid.width_mm, high, True)
         case Staircase():
-            return _staircase(solid)
+            heights = solid.heights_mm
+            y = ((np.arange(len(heights) + 1) - 0.5 * len(heights)) * solid.tread_mm).tolist()
+            around = (0.0, *heights, 0.0)
+            faces = []
+            for step, high in enumerate(heights):
+                ends = (around[step] < high, around[step + 2] < high)
+                faces.append(_level(solid.width_mm, y[step], y[step + 1], high, ends))
+            highest = int(np.argmax(heights))
+            turns = (0.0,) if heights == heights[::-1] else (0.0, 180.0)
+            high, along_mm, at_ends = heights[highest], y[-1] - y[0], 0.5 * (heights[0] + heights[-1])
+            return Shape("staircase", solid.name, tuple(faces), highest, high, along_mm, at_ends, True, turns)
         case Pyramid():
-            return _pyramid(solid)
+            base, half, high = 0.5 * solid.base_mm, 0.5 * solid.top_mm, solid.height_mm
+            none = np.tile([0.0, 1.0, 0.0, 0.0], (2, 1))
+            faces = [_level(2.0 * half, -half, half, high, (False, False))]
+            corners = np.array([[base, -base], [base, base], [half, half], [half, -half]])
+            # of the side towards +X: X + Z (base − half)/high = base
+            normal = np.array([1.0, 0.0, (base - half) / high])
+            for cos, sin in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+                way = np.array([[cos, -sin], [sin, cos]], np.float64)
+                plane = np.array([*(way @ normal[:2]), normal[2], base]) / np.sqrt(normal @ normal)
+                faces.append(Face(plane, corners @ way.T, none, (False, False)))
+            return Shape("truncated-pyramid", solid.name, tuple(faces), 0, high, solid.base_mm, 0.0, False)
 
 
-def toleranced(solid: Solid) -> tuple[Callable[[float], Solid], ...]:
-    """Give, for each length with a tolerance, the solid with that length longer by so many mm."""
-    match solid:
-        case Block():
-            return (
-                lambda more: replace(solid, height_mm=solid.height_mm + more),
-                lambda more: replace(solid, width_mm=solid.width_mm + more),
-            )
-        case Staircase():
-            steps = range(len(solid.heights_mm))
-            return (
-                *(
-                    lambda more, step=step: replace(solid, heights_mm=_longer(solid.heights_mm, step, more))
-                    for step in steps
-                ),
-                lambda more: replace(solid, tread_mm=solid.tread_mm + more / len(solid.heights_mm)),
-            )
-        case Pyramid():
-            return (
-                lambda more: replace(solid, base_mm=solid.base_mm + more),
-                lambda more: replace(solid, top_mm=solid.top_mm + more),
-                lambda more: replace(solid, height_mm=solid.height_mm + more),
-            )
-
-
-def _longer(heights_mm: tuple[float, ...], step: int, more: float) -> tuple[float, ...]:
-    return tuple(height + (more if number == step else 0.0) for number, height in enumerate(heights_mm))
-
-
-def _block(block: Block) -> Shape:
-    half = 0.5 * block.width_mm
-    top = _level(block.length_mm, -half, half, block.height_mm, (True, True))
-    return Shape(
-        "block", block.name, (top,), 0, block.height_mm, block.width_mm, block.height_mm, True, (0.0,)
-    )
-
-
-def _staircase(stairs: Staircase) -> Shape:
-    heights = stairs.heights_mm
-    y = (np.arange(len(heights) + 1) - 0.5 * len(heights)) * stairs.tread_mm
-    around = (0.0, *heights, 0.0)
-    faces = tuple(
-        _level(
-            stairs.width_mm,
-            float(y[step]),
-            float(y[step + 1]),
-            height,
-            (around[step] < height, around[step + 2] < height),
-        )
-        for step, height in enumerate(heights)
-    )
-    top = int(np.argmax(heights))
-    ends = 0.5 * (heights[0] + heights[-1])
-    alike = heights == heights[::-1]
-    turns = (0.0,) if alike else (0.0, 180.0)
-    return Shape("staircase", stairs.name, faces, top, heights[top], float(y[-1] - y[0]), ends, True, turns)
-
-
-def _pyramid(pyramid: Pyramid) -> Shape:
-    base, top, height = 0.5 * pyramid.base_mm, 0.5 * pyramid.top_mm, pyramid.height_mm
-    none = np.tile([0.0, 1.0, 0.0, 0.0], (2, 1))
-    faces = [_level(2.0 * top, -top, top, height, (False, False))]
-    for turn in range(4):
-        cos, sin = ((1, 0), (0, 1), (-1, 0), (0, -1))[turn]
-        way = np.array([[cos, -sin], [sin, cos]], np.float64)
-        # of the side towards +X: X + Z (base − top)/height = base
-        normal = np.array([1.0, 0.0, (base - top) / height])
-        size = np.sqrt(normal @ normal)
-        corners = np.array([[base, -base], [base, base], [top, top], [top, -top]])
-        plane = np.array([*(way @ normal[:2]), normal[2], base]) / size
-        faces.append(Face(plane, corners @ way.T, none, (False, False)))
-    return Shape(
-        "truncated-pyramid", pyramid.name, tuple(faces), 0, height, pyramid.base_mm, 0.0, False, (0.0,)
-    )
+def toleranced(solid: Solid, more_mm: float) -> list[Solid]:
+    """Give, for each length with a tolerance, the solid with that length longer."""
+    if isinstance(solid, Staircase):
+        heights = np.array(solid.heights_mm) + more_mm * np.eye(len(solid.heights_mm))
+        higher: list[Solid] = [replace(solid, heights_mm=tuple(row)) for row in heights.tolist()]
+        return [*higher, replace(solid, tread_mm=solid.tread_mm + more_mm / len(heights))]
+    names = ("height_mm", "width_mm") if isinstance(solid, Block) else ("base_mm", "top_mm", "height_mm")
+    return [replace(solid, **{name: getattr(solid, name) + more_mm}) for name in names]
 
 
 def _level(length: float, low: float, high: float, height: float, ends: tuple[bool, bool]) -> Face:
@@ -189,18 +143,15 @@ _BARE_SHARE = 0.08
 """Of a stripe's rows at either end that are bare belt, where no image of the empty belt is given."""
 _OFF_PX = 1.5
 """A peak farther than this from its belt line is on the solid: above the scatter of peaks on a belt."""
-_ROWS_MIN = 12
-"""Rows of a stripe: from fewer its line is not known to a pixel over the image."""
+_ROWS_MIN = 12  # rows of a stripe: from fewer its line is not known to a pixel over the image
 _PLATEAU_SHARE = 0.93
 """Of a stripe's highest displacement: peaks above are on its highest level, for steps are larger than 7 %."""
 _OFF_SHARE_MAX = 0.2
 """Of the height: a peak farther off the surface counts as so far, for it may be a shadow or a wall."""
 _FAN_CONDITION = 0.01
 """Planes of one fan do not say where on its axis the projector is: singular values below are taken for 0."""
-_LEANS = 0.5
-"""Tangent of a tilt (27°) that doubles a start's distance: cameras over belts stand straighter."""
-_MOVES_MAX = 120
-"""Evaluations of the simplex over three unknowns: it ends by its tolerances, or here."""
+_LEANS = 0.5  # tangent of a tilt (27°) that doubles a start's distance: cameras over belts stand straighter
+_MOVES_MAX = 120  # evaluations of the simplex over three unknowns: it ends by its tolerances, or here
 _DISTANCES = (0.76, 0.84, 0.92, 1.0, 1.08)
 """Of the distance by the solid's extent: what is hidden of it and its edges make that wrong by up to a
 fifth."""
@@ -212,9 +163,8 @@ class Numbered:
     """Peaks of one image whose stripe is known."""
 
     name: str
-    """Of the image."""
     stripe: Integers
-    """(peak,) stripe."""
+    """name, stripe: of the image; (peak,)."""
     x_px: Floats
     row_px: Floats
     std_px: Floats
@@ -240,10 +190,7 @@ class Start:
 def numbered(view: Observation, camera: Floats, stripes: int) -> Numbered:
     """Number the peaks by their order, in the rows that show as many as there are stripes.
 
-    Raises
-    ------
-    CalibrationError
-        There are too few such rows.
+    Raises CalibrationError: there are too few such rows.
     """
     peaks = view.peaks
     good = np.flatnonzero((peaks.flags & (EDGE | WIDE)) == 0)
@@ -293,103 +240,71 @@ def belt_lines(bare: Numbered | None, view: Numbered, stripes: int, focal_px: fl
 def start_of(
     view: Numbered, lines: Floats, shape: Shape, focal_px: float, belt: Floats | None, turn_deg: float
 ) -> Start:
-    """Find a first geometry from one image of a solid.
+    """Find a first geometry from one image of a solid that lies this way round.
 
-    Parameters
-    ----------
-    view
-        The image's peaks.
-    lines
-        (stripe, 2) stripes on the bare belt, see `belt_lines`.
-    shape
-        The solid.
-    focal_px
-        To make pixels of distances on the plane at distance 1.
-    belt
-        (3,) b·X = 1, 1/mm, where it is known; else distances about the one that the solid's extent gives,
-        and tilts of the camera, are tried.
-    turn_deg
-        Which way round the solid lies.
+    `lines` are those of `belt_lines`, and `focal_px` makes pixels of distances on the plane at distance 1.
+    Where the belt (3,) b·X = 1 is not known, distances about the one that the solid's extent gives, and tilts
+    of the camera, are tried.
 
-    Raises
-    ------
-    CalibrationError
-        The solid is not seen.
+    Raises CalibrationError: the solid is not seen.
     """
     own = lines[view.stripe]
     off_px = (view.ray[:, 0] - own[:, 0] - own[:, 1] * view.ray[:, 1]) * focal_px
     lifted = np.abs(off_px) > _OFF_PX
-    on = [stripe for stripe in range(len(lines)) if (lifted & (view.stripe == stripe)).sum() >= _ROWS_MIN]
+    on = {stripe: np.flatnonzero(lifted & (view.stripe == stripe)) for stripe in range(len(lines))}
+    on = {stripe: peaks for stripe, peaks in on.items() if peaks.size >= _ROWS_MIN}
     if not on:
         raise CalibrationError(
             f"{view.name}: the {shape.kind} is not seen: no stripe is off its place on the bare belt",
             hint="lay it under the stripes; with bare belt above and below it in the image",
         )
-    high = _on_top(view, off_px, lifted, on)
-    first, every = _belts(view, shape, lifted, on) if belt is None else ([belt], [belt])
+    # the peaks on the highest level that each stripe reaches
+    high = {}
+    for stripe, peaks in on.items():
+        size = np.abs(off_px[peaks])
+        high[stripe] = peaks[size >= _PLATEAU_SHARE * float(np.quantile(size, 0.9))]
+
+    def made(of_belt: Floats, stripes: list[int]) -> Start:
+        return _start(view, lines, shape, of_belt, lifted, {s: high[s] for s in stripes}, turn_deg)
+
+    def unlikely(start: Start) -> float:
+        """Distance off the surface, mm, the larger the more the belt is tilted: tilts are told by little."""
+        lean = start.belt[:2] / (_LEANS * start.belt[2])
+        return float(start.off_mm * (1.0 + lean @ lean))
 
     def best(belts: list[Floats], stripes: list[int]) -> Start:
-        top = {stripe: high[stripe] for stripe in stripes}
-        tried = [_start(view, lines, shape, one, lifted, top, turn_deg) for one in belts]
-        return min(tried, key=_unlikely)
+        return min((made(one, stripes) for one in belts), key=unlikely)
 
-    groups = [on] if shape.wide_top else [[s for s in (at - 1, at, at + 1) if s in high] for at in on]
-    stripes = min(groups, key=lambda group: best(first, group).off_mm) if len(groups) > 1 else groups[0]
-    start = best(every, stripes)
+    if belt is None:
+        spans = [float(np.ptp(np.quantile(view.ray[peaks, 1], [0.01, 0.99]))) for peaks in on.values()]
+        distance = shape.along_mm / float(np.median(spans)) + shape.along_height_mm
+        level = [np.array([0.0, 0.0, 1.0 / (factor * distance)]) for factor in _DISTANCES]
+    else:
+        level = [belt]
+    stripes = list(high)
+    if not shape.wide_top:
+        groups = [[s for s in (at - 1, at, at + 1) if s in high] for at in high]
+        if len(groups) > 1:
+            stripes = min(groups, key=lambda group: best(level, group).off_mm)
     if belt is not None:
-        return start
-    top = {stripe: high[stripe] for stripe in stripes}
-    return _nearer(start, lambda one: _start(view, lines, shape, one, lifted, top, turn_deg))
-
-
-def _nearer(start: Start, made: Callable[[Floats], Start]) -> Start:
-    """Move the belt's distance and tilt to where the peaks lie nearest to the surface (Nelder and Mead)."""
+        return best(level, stripes)
+    # the distance is that along the optical axis
+    tilts = [np.array([np.tan(y), -np.tan(x), 0.0]) for x, y in np.radians(_TILTS_DEG)]
     from scipy.optimize import minimize
+
+    start = best(level + [one + one[2] * tilt for one in level for tilt in tilts], stripes)
 
     def of(moved: Floats) -> Floats:
         lean = start.belt[:2] / start.belt[2] + moved[:2]
         return np.asarray(np.array([*lean, 1.0]) * start.belt[2] * np.exp(moved[2]))
 
+    # move distance and tilt to where the peaks lie nearest to the surface
     simplex = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, 0.0, 0.03]])
     options = {"initial_simplex": simplex, "maxfev": _MOVES_MAX, "xatol": 1e-3, "fatol": 1e-4}
     found = minimize(
-        lambda moved: _unlikely(made(of(moved))), simplex[0], method="Nelder-Mead", options=options
+        lambda moved: unlikely(made(of(moved), stripes)), simplex[0], method="Nelder-Mead", options=options
     )
-    nearer = made(of(found.x))
-    return nearer if _unlikely(nearer) < _unlikely(start) else start
-
-
-def _unlikely(start: Start) -> float:
-    """Distance off the surface, mm, the larger the more the belt is tilted: tilts are told by little."""
-    lean = start.belt[:2] / (_LEANS * start.belt[2])
-    return float(start.off_mm * (1.0 + lean @ lean))
-
-
-def _on_top(view: Numbered, off_px: Floats, lifted: Flags, on: list[int]) -> dict[int, Integers]:
-    """Give by stripe the peaks on the highest level it reaches."""
-    top = {}
-    for stripe in on:
-        mine = np.flatnonzero(lifted & (view.stripe == stripe))
-        high = float(np.quantile(np.abs(off_px[mine]), 0.9))
-        top[stripe] = mine[np.abs(off_px[mine]) >= _PLATEAU_SHARE * high]
-    return top
-
-
-def _belts(view: Numbered, shape: Shape, lifted: Flags, on: list[int]) -> tuple[list[Floats], list[Floats]]:
-    """Give belts (3,) to try: level ones about the distance of the solid's extent, and those also tilted."""
-    spans = [
-        float(np.ptp(np.quantile(view.ray[lifted & (view.stripe == stripe), 1], [0.01, 0.99])))
-        for stripe in on
-    ]
-    distance = shape.along_mm / float(np.median(spans)) + shape.along_height_mm
-    level = [np.array([0.0, 0.0, 1.0 / (factor * distance)]) for factor in _DISTANCES]
-    # the distance is that along the optical axis
-    leaning = [
-        one + one[2] * np.array([np.tan(tilt[1]), -np.tan(tilt[0]), 0.0])
-        for one in level
-        for tilt in np.radians(_TILTS_DEG)
-    ]
-    return level, level + leaning
+    return min(start, made(of(found.x), stripes), key=unlikely)
 
 
 def _start(
@@ -436,13 +351,8 @@ def _of_one_fan(planes: Floats, lines: Floats, belt: Floats) -> Floats:
 def renumbered(view: Numbered, off_mm: Floats) -> Numbered:
     """Exchange neighbours in a row where the other way round both lie nearer to the surface.
 
-    Parameters
-    ----------
-    view
-        The peaks, row by row, in the order of their numbers.
-    off_mm
-        (3, peak) distance from the surface if the peak's stripe were the one to the left, its own, the one
-        to the right; infinite where there is none.
+    `off_mm` (3, peak), of peaks row by row in the order of their numbers, is the distance from the surface if
+    the peak's stripe were the one to the left, its own, the one to the right; infinite where there is none.
     """
     stripes = int(view.stripe.max()) + 1
     left, own, right = (part.reshape(-1, stripes) for part in off_mm)
@@ -456,7 +366,5 @@ def renumbered(view: Numbered, off_mm: Floats) -> Numbered:
     return replace(view, stripe=number.ravel())
 
 
-_SWAP_SHARE = 0.35
-"""Two neighbours are exchanged where it brings them nearer to the surface by this factor,"""
-_SWAP_FACTOR = 12.0
-"""and where they lie off it by so many usual distances: noise alone exchanges none."""
+_SWAP_SHARE = 0.35  # two neighbours are exchanged where it brings them nearer to the surface by this factor,
+_SWAP_FACTOR = 12.0  # and where they lie off it by so many usual distances: noise alone exchanges none

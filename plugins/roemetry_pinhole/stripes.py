@@ -24,8 +24,9 @@ from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, Observation, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.boards import on_board, on_even_print
+from roemetry_pinhole.bundle import MAD_TO_STD
 from roemetry_pinhole.geometry import ON_BELT, StripePoints, rays
-from roemetry_pinhole.initial_intrinsics import FirstCamera, reasons
+from roemetry_pinhole.initial_intrinsics import FirstCamera, belt_under, reasons
 from roemetry_pinhole.numbering import PoseLines, number_stripes
 from roemetry_pinhole.prints import first_sizes
 
@@ -45,8 +46,7 @@ _FRAGMENT_ROWS_MIN = 6
 """Rows of a piece that is looked at at all: shorter ones are noise and letters. No change from 4 to 10."""
 _SHARE_MIN = 0.08
 """Of the longest line's peaks: shorter lines are edges of the print. No change from 0.05 to 0.13."""
-_ROUNDS = 3
-"""Rounds of sharing peaks out and fitting, until each peak has its nearest line."""
+_ROUNDS = 3  # rounds of sharing peaks out and fitting, until each peak has its nearest line
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -64,20 +64,16 @@ class StripeLine:
         y = xy[self.peak[[0, -1]], 1]
         return np.column_stack([self.start + self.slope * y, y, np.ones(2)])
 
+    def off(self, xy: Floats) -> Floats:
+        """Give (n,) how far places (n, 2) are from it along x."""
+        return np.abs(xy[:, 0] - self.start - self.slope * xy[:, 1])
+
 
 def find_lines(peaks: Peaks, xy: Floats, use: Flags, focal_px: float) -> list[StripeLine]:
-    """Find the stripes, left to right.
+    """Find the stripes, left to right, among the peaks of an image that lie on the plane looked at.
 
-    Parameters
-    ----------
-    peaks
-        All peaks of the image.
-    xy
-        (peak, 2) the same on the plane at distance 1, without distortion.
-    use
-        (peak,) which of them lie on the plane that is looked at.
-    focal_px
-        To make pixels of distances there.
+    `xy` (peak, 2) are their places on the plane at distance 1, without distortion, `use` (peak,) says which
+    lie on the plane, and `focal_px` makes pixels of distances there.
     """
     from roemetry_kernels.tracing import trace_fragments
 
@@ -92,7 +88,7 @@ def find_lines(peaks: Peaks, xy: Floats, use: Flags, focal_px: float) -> list[St
     for part in sorted(parts, key=len, reverse=True):
         if len(part) < _FRAGMENT_ROWS_MIN:
             break
-        off = [np.median(_off(line, xy[part])) * focal_px for line in lines]
+        off = [np.median(line.off(xy[part])) * focal_px for line in lines]
         near = int(np.argmin(off)) if off else -1
         if near >= 0 and off[near] < _JOIN_PX:
             lines[near] = _fitted(np.concatenate([lines[near].peak, part]), xy, focal_px)
@@ -102,22 +98,14 @@ def find_lines(peaks: Peaks, xy: Floats, use: Flags, focal_px: float) -> list[St
     lines = [line for line in lines if line.peak.size >= max(_ROWS_MIN, _SHARE_MIN * longest)]
     middle = float(np.median(xy[chosen, 1]))
     lines.sort(key=lambda line: line.start + line.slope * middle)
-    return _shared_out(lines, xy, chosen, focal_px)
-
-
-def _shared_out(lines: list[StripeLine], xy: Floats, chosen: Integers, focal_px: float) -> list[StripeLine]:
-    """Give each line every peak that is near it, also those of fragments too short to count."""
-    if not lines:
-        return lines
-    for _ in range(_ROUNDS):
-        off = np.stack([_off(line, xy[chosen]) * focal_px for line in lines])
-        nearest = off.argmin(axis=0)
-        mine = off.min(axis=0) < _NEAR_PX
+    # each line gets every peak that is near it, also those of fragments too short to count
+    for _ in range(_ROUNDS if lines else 0):
+        away = np.stack([line.off(xy[chosen]) * focal_px for line in lines])
+        nearest = np.where(away.min(axis=0) < _NEAR_PX, away.argmin(axis=0), -1)
+        own = [chosen[nearest == number] for number in range(len(lines))]
         lines = [
-            _fitted(chosen[mine & (nearest == number)], xy, focal_px)
-            if (mine & (nearest == number)).sum() >= _ROWS_MIN
-            else line
-            for number, line in enumerate(lines)
+            _fitted(part, xy, focal_px) if part.size >= _ROWS_MIN else line
+            for line, part in zip(lines, own, strict=True)
         ]
     lines = _uncrossed(_merged(lines, xy, focal_px), xy[chosen, 1])
     return [replace(line, peak=np.sort(line.peak)) for line in lines]
@@ -140,18 +128,14 @@ def _merged(lines: list[StripeLine], xy: Floats, focal_px: float) -> list[Stripe
     kept: list[StripeLine] = []
     for line in lines:
         if kept:
-            y = xy[np.concatenate([kept[-1].peak, line.peak]), 1]
-            at = np.array([y.min(), y.max()])
+            both = np.concatenate([kept[-1].peak, line.peak])
+            at = np.array([xy[both, 1].min(), xy[both, 1].max()])
             apart = line.start - kept[-1].start + (line.slope - kept[-1].slope) * at
             if np.abs(apart).min() * focal_px < _JOIN_PX:
-                kept[-1] = _fitted(np.unique(np.concatenate([kept[-1].peak, line.peak])), xy, focal_px)
+                kept[-1] = _fitted(np.unique(both), xy, focal_px)
                 continue
         kept.append(line)
     return kept
-
-
-def _off(line: StripeLine, xy: Floats) -> Floats:
-    return np.abs(xy[:, 0] - line.start - line.slope * xy[:, 1])
 
 
 def _fitted(part: Integers, xy: Floats, focal_px: float) -> StripeLine:
@@ -169,12 +153,6 @@ def _fitted(part: Integers, xy: Floats, focal_px: float) -> StripeLine:
         off = np.abs(x - start - slope * y) * focal_px
         weight = 1.0 / np.maximum(off, 0.2)
     return StripeLine(start, slope, part)
-
-
-def near_line(part: Integers, xy: Floats, focal_px: float) -> Integers:
-    """Give those of a stripe's peaks that are near the line fitted to them."""
-    line = _fitted(part, xy, focal_px)
-    return np.asarray(line.peak[_off(line, xy[line.peak]) * focal_px < _NEAR_PX])
 
 
 def strongest(lines: list[StripeLine], peaks: Peaks, count: int) -> list[StripeLine]:
@@ -196,18 +174,14 @@ _WIDTH_SHARE_MAX = 0.35
 _POINTS_MAX = 20_000
 """Points that go into the adjustment; more are averaged over rows, for its time grows with them. Heights
 change by 1 µm at 12,000 and at 32,000, as another draw of the noise would change them."""
-_PEAKS_MIN = 8
-"""Peaks of a stripe on one surface: from fewer no curve can be fitted. No change from 5 to 13."""
-_BOARDS_MIN = 2
-"""Two lines determine a plane."""
+_PEAKS_MIN = 8  # peaks of a stripe on one surface: from fewer no curve can be fitted. No change from 5 to 13
+_BOARDS_MIN = 2  # two lines determine a plane
 _OFF_MAX_MADS = 5.0
 """Standard deviations from a smooth curve along the stripe beyond which a peak is left out: one normal error
 in two million. Heights change by 1 to 1.5 µm at 3 and at 8."""
 _OFF_MAX_LEAST_PX = 0.5
 """Nearer than this a peak is never left out, px: on clean images the scatter is smaller than what bends a
 stripe. Heights change by 1 µm at most at 0.8 px."""
-_MAD_TO_STD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -221,10 +195,9 @@ class Gathered:
     belt: Floats | None
     """(3,) a first estimate of the belt from the empty belt's images; None without any."""
     print_share: float
-    """Share of the boards' peaks that is not used because the print under the stripe is uneven: a line seems
-    shifted towards the lighter side of an edge (Curless and Levoy 1995)."""
     stray_share: float
-    """Share of the others that is not used because it is far off its stripe."""
+    """print_share, stray_share: share of the boards' peaks that is not used because the print under the
+    stripe is uneven, and of the others because it is far off its stripe."""
     sizes: Floats
     """(board,) a first estimate of how much larger each print is than described."""
     strange: tuple[int, ...] = ()
@@ -242,25 +215,11 @@ def gather(
 ) -> Gathered:
     """Find the stripes on all boards and on the empty belt, and number them.
 
-    Parameters
-    ----------
-    first
-        Camera and poses, nearly right.
-    belts
-        Images of the empty belt.
-    stripes
-        How many the rig has.
-    travelled
-        (view,) encoder counts since the view's pose was defined.
-    left_out
-        By image, why its stripes are not used: added to.
-    print_contrast_max
-        Largest contrast of the print under a stripe at which its peaks count.
+    Camera and poses are nearly right; `travelled` (view,) are encoder counts since the view's pose was
+    defined, `left_out` says by image why its stripes are not used, and is added to, and `print_contrast_max`
+    is the largest contrast of the print under a stripe at which its peaks count.
 
-    Raises
-    ------
-    CalibrationError
-        The stripes cannot be numbered, or one lies on too few boards.
+    Raises CalibrationError: the stripes cannot be numbered, or one lies on too few boards.
     """
     found: list[_OnBoard] = []
     poses: list[PoseLines] = []
@@ -286,8 +245,7 @@ def gather(
                 "white margin counts where margin_mm says how wide that is"
             )
             continue
-        normal = first.rotation[number][:, 2]
-        plane = normal / (normal @ first.shift[number])
+        plane = first.surface(number)
         found.append(_OnBoard(number, peaks, xy, use, even, plane))
         poses.append(_in_space(view.laser.frame.name, lines, xy, plane))
     if len(poses) < _BOARDS_MIN:
@@ -305,40 +263,28 @@ def gather(
         poses = [replace(one, ends_mm=one.ends_mm * s) for one, s in zip(poses, size_of, strict=True)]
     numbered = number_stripes(poses, stripes, belt_pose)
     left_out |= numbered.left_out
-    peaks_used: list[tuple[int, int, Peaks, Integers]] = []
+    parts: list[tuple[int, int, Peaks, Integers]] = []
     on_stripes = on_even = 0
-    for view_lines, pose in zip(found, poses, strict=True):
-        if pose.name in numbered.left_out:
-            continue
-        peaks, number = view_lines.peaks, view_lines.number
-        for stripe, part in view_lines.near(numbered.planes, focal_px):
+    for one, pose in zip(found, poses, strict=True):
+        for stripe, part in () if pose.name in numbered.left_out else one.near(numbered.planes, focal_px):
             on_stripes += part.size
-            part = part[view_lines.even[part]]
+            part = part[one.even[part]]
             on_even += part.size
             if part.size >= _PEAKS_MIN:
-                peaks_used.append((number, stripe, peaks, part))
-    on_lines = sum(part.size for _, _, _, part in peaks_used)
+                parts.append((one.number, stripe, one.peaks, part))
     belt, belt_parts = _belt_lines(belts, first.camera, numbered.planes)
-    step = max(1, -(-(on_lines + sum(part.size for *_, part in belt_parts)) // _POINTS_MAX))
-    parts = [
-        _binned(number, stripe, peaks, part, step, travelled[number] if number != ON_BELT else 0.0)
-        for number, stripe, peaks, part in peaks_used + belt_parts
-    ]
-    kept = sum(
-        int(count.sum())
-        for (number, *_), (_, count) in zip(peaks_used + belt_parts, parts, strict=True)
-        if number != ON_BELT
-    )
-    rows = np.concatenate([part for part, _ in parts])
-    strange = tuple(one.number for one, pose in zip(found, poses, strict=True) if pose.name in numbered.moved)
+    parts += belt_parts
+    points, kept = _points(parts, travelled)
     return Gathered(
-        points=_points(rows),
+        points=points,
         planes=numbered.planes,
         belt=belt,
         print_share=1.0 - on_even / max(on_stripes, 1),
         stray_share=1.0 - kept / max(on_even, 1),
         sizes=sizes,
-        strange=strange,
+        strange=tuple(
+            one.number for one, pose in zip(found, poses, strict=True) if pose.name in numbered.moved
+        ),
     )
 
 
@@ -371,14 +317,14 @@ class _OnBoard:
             room = np.abs(others).min(axis=0, initial=np.inf) * focal_px
             near = (nearest == stripe) & (off[stripe] < np.minimum(_SEARCH_PX, _SEARCH_SHARE * room))
             if near.sum() >= _PEAKS_MIN:
-                found.append((stripe, near_line(chosen[near], self.xy, focal_px)))
+                own = _fitted(chosen[near], self.xy, focal_px)
+                # of these, the ones near the line fitted to them
+                found.append((stripe, own.peak[own.off(self.xy[own.peak]) * focal_px < _NEAR_PX]))
         return [(stripe, part) for stripe, part in found if part.size >= _PEAKS_MIN]
 
 
-_SEARCH_PX = 6.0
-"""Half the width of the lane in which a stripe is sought, px: first poses err by 1 to 2 px."""
-_SEARCH_SHARE = 0.35
-"""The same at most, of the distance of the next stripe."""
+_SEARCH_PX = 6.0  # half the width of the lane in which a stripe is sought, px: first poses err by 1 to 2 px
+_SEARCH_SHARE = 0.35  # the same at most, of the distance of the next stripe
 
 
 def _in_space(name: str, lines: list[StripeLine], xy: Floats, plane: Floats) -> PoseLines:
@@ -391,17 +337,18 @@ def _in_space(name: str, lines: list[StripeLine], xy: Floats, plane: Floats) -> 
 def _belt_pose(first: FirstCamera, belts: tuple[Observation, ...], stripes: int) -> PoseLines | None:
     """Give the lines on the empty belt, where a board lay on it; the image with the right number of them."""
     lies = [number for number, view in enumerate(first.views) if view.on_belt]
-    if not lies:
-        return None
-    normal = first.rotation[lies[0]][:, 2]
-    plane = normal / (normal @ first.shift[lies[0]] + first.views[lies[0]].board.thickness_mm)
-    for view in belts:
-        xy = _straight(view.peaks, first.camera)
-        usable = (view.peaks.flags & (EDGE | WIDE)) == 0
-        lines = strongest(find_lines(view.peaks, xy, usable, float(first.camera[0])), view.peaks, stripes)
+    for view in belts if lies else ():
+        xy, lines = _on_belt(view, first.camera, stripes)
         if len(lines) == stripes:
-            return _in_space(view.frame.name, lines, xy, plane)
+            return _in_space(view.frame.name, lines, xy, belt_under(first, lies[0]))
     return None
+
+
+def _on_belt(view: Observation, camera: Floats, stripes: int) -> tuple[Floats, list[StripeLine]]:
+    """Give (peak, 2) places without distortion, and the lines on the empty belt."""
+    xy = _straight(view.peaks, camera)
+    usable = (view.peaks.flags & (EDGE | WIDE)) == 0
+    return xy, strongest(find_lines(view.peaks, xy, usable, float(camera[0])), view.peaks, stripes)
 
 
 def belt_points(
@@ -409,23 +356,12 @@ def belt_points(
 ) -> tuple[StripePoints, Floats]:
     """Give the stripes on the empty belt, numbered by known planes, and a first estimate of the belt.
 
-    Raises
-    ------
-    CalibrationError
-        Another number of stripes is seen than there are planes.
+    Raises CalibrationError: another number of stripes is seen than there are planes.
     """
     belt, parts = _belt_lines(belts, camera, planes)
     if belt is None:
         raise CalibrationError("there is no image of the empty belt", hint="name one in images.belt")
-    step = max(1, -(-sum(part.size for *_, part in parts) // _POINTS_MAX))
-    rows = np.concatenate([_binned(*part, step, 0.0)[0] for part in parts])
-    return _points(rows), belt
-
-
-def _points(rows: Floats) -> StripePoints:
-    return StripePoints(
-        rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), *np.ascontiguousarray(rows[:, 2:].T)
-    )
+    return _points(parts, np.empty(0))[0], belt
 
 
 def _straight(peaks: Peaks, camera: Floats) -> Floats:
@@ -439,18 +375,16 @@ def _belt_lines(
     parts: list[tuple[int, int, Peaks, Integers]] = []
     rays, sides = [], []
     for view in belts:
-        xy = _straight(view.peaks, camera)
-        usable = (view.peaks.flags & (EDGE | WIDE)) == 0
-        lines = strongest(find_lines(view.peaks, xy, usable, float(camera[0])), view.peaks, len(planes))
+        xy, lines = _on_belt(view, camera, len(planes))
         if not lines or len(lines) > len(planes):
             raise CalibrationError(
                 f"{view.frame.name}: {len(planes)} stripes are expected on the empty belt, "
                 f"{len(lines)} are seen",
                 hint="check `stripes`, the extractor's threshold, turn_deg, and that the belt is empty",
             )
+        ray = np.concatenate([line.ends(xy) for line in lines])
         fits = []
         for first in range(len(planes) - len(lines) + 1):
-            ray = np.concatenate([line.ends(xy) for line in lines])
             side = (ray * np.repeat(planes[first : first + len(lines)], 2, axis=0)).sum(axis=1)
             plane, _, rank, _ = np.linalg.lstsq(ray, side, rcond=1e-9)
             off = np.abs(ray @ plane - side).max() / np.sqrt((plane**2).sum()) if rank == 3 else np.inf
@@ -479,7 +413,7 @@ def _binned(
     for _ in range(3):
         curve = np.polynomial.polynomial.polyfit((row[keep] - middle) / half, x[keep], 3)
         off = np.abs(x - np.polynomial.polynomial.polyval((row - middle) / half, curve))
-        spread = _MAD_TO_STD * float(np.median(off[keep]))
+        spread = MAD_TO_STD * float(np.median(off[keep]))
         keep = off <= max(_OFF_MAX_MADS * spread, _OFF_MAX_LEAST_PX)
     row, x, std = row[keep], x[keep], std[keep]
     bin_of = np.unique(((row - row[0]) // step).astype(np.int64), return_inverse=True)[1]
@@ -492,3 +426,17 @@ def _binned(
     same = np.ones(members.size)
     rows = np.column_stack([number * same, stripe * same, mean(x), mean(row), many, count * same])
     return rows, members
+
+
+def _points(parts: list[tuple[int, int, Peaks, Integers]], travelled: Floats) -> tuple[StripePoints, int]:
+    """Give the points of pose, stripe, peaks and which of them, and how many peaks on boards they hold."""
+    step = max(1, -(-sum(part.size for *_, part in parts) // _POINTS_MAX))
+    tables, kept = [], 0
+    for number, stripe, peaks, part in parts:
+        count = 0.0 if number == ON_BELT else travelled[number]
+        table, members = _binned(number, stripe, peaks, part, step, count)
+        tables.append(table)
+        kept += 0 if number == ON_BELT else int(members.sum())
+    rows = np.concatenate(tables)
+    whole = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
+    return StripePoints(*whole, *np.ascontiguousarray(rows[:, 2:].T)), kept

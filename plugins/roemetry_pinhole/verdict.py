@@ -17,7 +17,7 @@ What it cannot see: an error that all targets share (a wrong pitch, a bent board
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,8 +29,6 @@ from roemetry_pinhole.bundle import Adjusted, Measured, chosen
 from roemetry_pinhole.geometry import (
     CAMERA,
     ON_BELT,
-    Bend,
-    Feet,
     Geometry,
     StripePoints,
     corner_residuals,
@@ -45,15 +43,12 @@ from roemetry_pinhole.pinhole_plane import belt_pose
 _CELLS = 6
 """Cells along either side of the image in which marks are averaged; with 10 poses of 80 marks 20 fall into
 each."""
-_CELL_MARKS_MIN = 8
-"""Marks in a cell: from fewer the mean is noise."""
+_CELL_MARKS_MIN = 8  # marks in a cell: from fewer the mean is noise
 _SYSTEMATIC_MAX_PX = 0.4
 """Error that neighbouring marks share, px, by which a lens model is refused: at 1500 px focal length 0.03 %,
 that is 0.1 mm over 350 mm."""
-_SYSTEMATIC_SHARE_MAX = 0.5
-"""The same as a share of the marks' noise: less is drowned in it."""
-_COVERAGE_MIN = 0.4
-"""Of the cells: with fewer the lens is a guess outside."""
+_SYSTEMATIC_SHARE_MAX = 0.5  # the same as a share of the marks' noise: less is drowned in it
+_COVERAGE_MIN = 0.4  # of the cells: with fewer the lens is a guess outside
 _PLANE_FACTOR_MAX = 5.0
 """Residuals of one stripe over those of the median stripe. Powers and widths of stripes differ, and with them
 their noise, by 2 to 3; a reflection taken for a stripe gives 20 and more."""
@@ -72,10 +67,8 @@ px is then 10 mm of height and more."""
 _USED_MIN = 0.75
 """Share of marks, and of stripe peaks on even print, that must fit. Least squares after trimming at 4.5
 standard deviations holds up to about a third of strays."""
-_STRIPE_USED_MIN = 0.5
-"""The same of each stripe alone: with less, what is left may be the strays."""
-_SYSTEMATIC_TOLD_PX = 0.05
-"""From here on a shared error is told: half the noise of a mark."""
+_STRIPE_USED_MIN = 0.5  # the same of each stripe alone: with less, what is left may be the strays
+_SYSTEMATIC_TOLD_PX = 0.05  # from here on a shared error is told: half the noise of a mark
 _CONFLICT_LITTLE = 10.0
 """Up to here stripes pull camera and poses off the marks by about three standard deviations in all."""
 _CONFLICT_MAX = 100.0
@@ -96,10 +89,8 @@ class Verdict:
 def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
     """Judge an adjustment; `scale_is_known` says whether the board's pitch is what lengths come from.
 
-    Raises
-    ------
-    CalibrationError
-        A plane goes nearly through the camera; stripes do not lie in planes; residuals are no noise.
+    Raises CalibrationError: a plane goes nearly through the camera; stripes do not lie in planes; residuals
+    are no noise.
     """
     adjusted = joined.adjusted
     _check_planes_pass_by(adjusted)
@@ -225,35 +216,28 @@ def _stray_share(joined: Joint) -> float:
 
 def _check_used(joined: Joint) -> None:
     """Refuse where too much was left out as far off."""
-    used, points = joined.adjusted.corner_used, joined.measured.points
-    marks = 1.0 - float(used.mean()) if used.size else 0.0
-    for what, left in (("board corners", marks), ("stripe peaks", _stray_share(joined))):
-        if left > 1.0 - _USED_MIN:
-            raise CalibrationError(f"{left:.0%} of the {what} do not fit: {_NOT_RIGID}", hint=_LOOK_FOR_MOVES)
-    for stripe in np.unique(points.stripe):
-        left = 1.0 - float(joined.adjusted.stripe_used[points.stripe == stripe].mean())
-        if left > 1.0 - _STRIPE_USED_MIN:
+    adjusted, stripe = joined.adjusted, joined.measured.points.stripe
+    marks = 1.0 - float(adjusted.corner_used.mean()) if adjusted.corner_used.size else 0.0
+    shares = [("board corners", marks, _USED_MIN), ("stripe peaks", _stray_share(joined), _USED_MIN)]
+    for number in np.unique(stripe):
+        left = 1.0 - float(adjusted.stripe_used[stripe == number].mean())
+        shares.append((f"peaks of stripe {number + 1}", left, _STRIPE_USED_MIN))
+    for what, left, least in shares:
+        if left > 1.0 - least:
             raise CalibrationError(
-                f"{left:.0%} of the peaks of stripe {stripe + 1} do not fit: {_NOT_RIGID}",
-                hint=_LOOK_FOR_MOVES,
+                f"{left:.0%} of the {what} do not fit: what was seen is not one rigid rig",
+                hint="did the camera, the laser or the board move or bend between the images?",
             )
-
-
-_NOT_RIGID = "what was seen is not one rigid rig"
-_LOOK_FOR_MOVES = "did the camera, the laser or the board move or bend between the images?"
 
 
 def _check_planes(adjusted: Adjusted, joined: Joint) -> None:
     """Refuse where a stripe's points do not lie in one plane, by the others' residuals or by those stated."""
     points = joined.measured.points
     stripes = np.unique(points.stripe)
-    rms_px, stated_px = np.empty(stripes.size), np.empty(stripes.size)
-    for n, stripe in enumerate(stripes):
-        mine = points.stripe == stripe
-        rms_px[n] = np.sqrt((adjusted.stripe_px[mine] ** 2).mean())
-        stated_px[n] = np.sqrt((points.std_px[mine] ** 2).mean())
     if not stripes.size:
         return
+    rms_px = np.array([_rms(adjusted.stripe_px[points.stripe == one]) for one in stripes])
+    stated_px = np.array([_rms(points.std_px[points.stripe == one]) for one in stripes])
     worst = int(rms_px.argmax())
     usual = float(np.median(rms_px))
     if stripes.size > 2 and rms_px[worst] > max(_PLANE_FACTOR_MAX * usual, _PLANE_RMS_MIN_PX):
@@ -308,29 +292,24 @@ def _heights_reached(joined: Joint) -> tuple[float, float]:
     return float(height.min()), float(max(height.max(), 1.0))
 
 
-_FOLDS = 5
-"""Views are left out in five parts: four fifths of the views still calibrate nearly as well as all."""
-_POSES_MIN = 4
-"""Poses that must be left to calibrate from."""
+_FOLDS = 5  # views are left out in five parts: four fifths of the views still calibrate nearly as well as all
+_POSES_MIN = 4  # poses that must be left to calibrate from
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class CrossValidation:
+class CrossValidation(NamedTuple):
     """Errors of a calibration at views that were held out of it."""
 
     mark_px: Floats
     mark_at_px: Floats
-    """mark_px, mark_at_px: (mark, 2) seen less predicted, and where; each board's pose is found from its own
-    marks."""
     mark_pose: Integers
-    """(mark,) pose."""
+    """mark_px, mark_at_px, mark_pose: (mark, 2) seen less predicted, and where, and (mark,) pose; each
+    board's pose is found from its own marks."""
     height_mm: Floats
     height_at_px: Floats
-    """height_mm, height_at_px: (point,) measured less true height, along the belt's normal, of stripe points
-    on the held-out boards, whose marks say where they are; and (point, 2) where in the image."""
     height_pose: Integers
     height_stripe: Integers
-    """height_pose, height_stripe: (point,) pose and stripe."""
+    """height_…: (point,) measured less true height, along the belt's normal, of stripe points on the held-out
+    boards, whose marks say where they are; (point, 2) where in the image; (point,) pose and stripe."""
     skipped: int
     """Poses that cannot be spared: without them the rest determines no calibration."""
 
@@ -338,76 +317,41 @@ class CrossValidation:
 def cross_validate(measured: Measured, found: Geometry) -> CrossValidation:
     """Leave every fifth pose out in turn; boards that lie on the belt always stay.
 
-    Parameters
-    ----------
-    measured
-        All that was seen.
-    found
-        What the adjustment of all found: a start for those of less.
+    What the adjustment of all found is a start for those of less.
     """
     poses = np.unique(measured.corners.pose)
     spare = np.setdiff1d(poses, measured.feet.pose)
     folds = min(_FOLDS, spare.size)
-    marks: list[tuple[Any, ...]] = []
-    heights: list[tuple[Any, ...]] = []
+    parts: list[tuple[Any, ...]] = []
     skipped = 0
     for fold in range(folds):
         out = spare[fold::folds]
-        kept = np.setdiff1d(poses, out)
         try:
-            geometry = _calibrated(measured, kept, found)
+            geometry = _calibrated(measured, np.setdiff1d(poses, out), found)
         except CalibrationError:
             skipped += out.size
             continue
         for pose in out:
-            board = _resected(measured, int(pose), replace(found, camera=geometry.camera, bend=geometry.bend))
-            mine = chosen(measured.corners, measured.corners.pose == pose, np.array([pose]))
-            off = -corner_residuals(board, mine).reshape(-1, 2)
-            marks.append((off, mine.xy_px, np.full(len(off), pose)))
+            # the board's pose from its own marks, with that camera
+            start = replace(found, camera=geometry.camera, bend=geometry.bend)
+            alone = measured.of(np.array([pose]), start)
+            unknowns = unknowns_of(alone.start, free_camera=np.zeros(CAMERA, np.bool_))
+            board = Measured(alone.start, unknowns, alone.corners).adjusted().geometry
+            off = -corner_residuals(board, alone.corners).reshape(-1, 2)
             points = chosen(measured.points, measured.points.pose == pose)
-            at = np.column_stack([points.x_px, points.row_px])
-            heights.append((_heights(geometry, board, points), at, points.pose, points.stripe))
+            at = points.xy_px
+            marks = off, alone.corners.xy_px, np.full(len(off), pose)
+            parts.append((*marks, _heights(geometry, board, points), at, points.pose, points.stripe))
     none, both, whole = np.empty(0), np.empty((0, 2)), np.empty(0, np.int64)
-    mark_px, mark_at_px, mark_pose = _joined((both, both, whole), marks)
-    height_mm, height_at_px, height_pose, stripe = _joined((none, both, whole, whole), heights)
-    return CrossValidation(
-        mark_px, mark_at_px, mark_pose, height_mm, height_at_px, height_pose, stripe, skipped=skipped
-    )
-
-
-def _joined(nothing: tuple[Any, ...], parts: list[tuple[Any, ...]]) -> list[Any]:
-    """Put parts one behind the other, column by column."""
-    return [np.concatenate(column) for column in zip(nothing, *parts, strict=True)]
+    columns = zip((both, both, whole, none, both, whole, whole), *parts, strict=True)
+    joined: list[Any] = [*(np.concatenate(column) for column in columns), skipped]
+    return CrossValidation(*joined)
 
 
 def lifted(geometry: Geometry, points: StripePoints) -> Floats:
     """Give (point, 3) where the points' rays meet their planes of light, camera frame, mm."""
-    seen = np.column_stack([points.x_px, points.row_px])
-    ray = rays(geometry.camera, seen)
+    ray = rays(geometry.camera, points.xy_px)
     return np.asarray(ray / (ray * geometry.planes[points.stripe]).sum(axis=1)[:, None])
-
-
-def _calibrated(measured: Measured, kept: Integers, found: Geometry) -> Geometry:
-    """Adjust without the others; raise CalibrationError where a stripe or the lens is then not determined."""
-    if kept.size < _POSES_MIN:
-        raise CalibrationError(f"{kept.size} poses are left")
-    less = measured.of(kept, found)
-    for stripe in range(found.stripe_count):
-        if np.unique(less.points.pose[less.points.stripe == stripe]).size < 2:
-            raise CalibrationError(f"stripe {stripe + 1} is left on one surface")
-    return less.adjusted().geometry
-
-
-def _resected(measured: Measured, pose: int, start: Geometry) -> Geometry:
-    """Find one board's pose from its own marks with a given camera."""
-    alone = measured.of(np.array([pose]), start)
-    nothing = np.zeros(alone.points.pose.size, np.bool_)
-    unknowns = unknowns_of(
-        alone.start, free_camera=np.zeros(CAMERA, np.bool_), planes=False, belt=False, travel=False
-    )
-    nobody = Feet(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0))
-    only = replace(alone, unknowns=unknowns, points=chosen(alone.points, nothing), feet=nobody)
-    return only.adjusted().geometry
 
 
 def _heights(geometry: Geometry, board: Geometry, points: StripePoints) -> Floats:
@@ -421,19 +365,32 @@ def _heights(geometry: Geometry, board: Geometry, points: StripePoints) -> Float
     return np.asarray(off / (normal @ up))
 
 
+def _calibrated(measured: Measured, kept: Integers, found: Geometry) -> Geometry:
+    """Adjust without the others; raise CalibrationError where a stripe or the lens is then not determined."""
+    if kept.size < _POSES_MIN:
+        raise CalibrationError(f"{kept.size} poses are left")
+    less = measured.of(kept, found)
+    for stripe in range(found.stripe_count):
+        if np.unique(less.points.pose[less.points.stripe == stripe]).size < 2:
+            raise CalibrationError(f"stripe {stripe + 1} is left on one surface")
+    return less.adjusted().geometry
+
+
 def stripe_offsets(geometry: Geometry, points: StripePoints) -> tuple[Floats, Floats, Integers]:
     """Say how far stripes are apart on one surface: a plane through all their points, each stripe's mean.
 
-    Returns
-    -------
-    offset_mm, at_px, surface
-        (n,) mean distance from the plane of a stripe's points on one surface, positive towards the camera;
-        (n, 2) where their middle is in the image; (n,) pose of the surface, −1 of the belt.
+    Gives (n,) mean distance from the plane of a stripe's points on one surface, mm, positive towards the
+    camera, (n, 2) where their middle is in the image, px, and (n,) pose of the surface, −1 of the belt.
     """
     offset, at, surface = [], [], []
     xyz = lifted(geometry, points)
     if geometry.bend is not None and points.face is None:
-        xyz = xyz - _print_off_plane(geometry, geometry.bend, points, xyz)
+        # as if the board's print were its plane
+        on = np.flatnonzero(points.pose != ON_BELT)
+        rotation, place = geometry.rotation[points.pose[on]], geometry.shift[points.pose[on]]
+        place = place + points.counts[on, None] * geometry.travel
+        there = ((xyz[on] - place)[:, None, :] @ rotation)[:, 0, :2]
+        xyz[on] -= geometry.bend.height_mm(there)[:, None] * rotation[:, :, 2]
     level = np.zeros(points.pose.size, np.int64)
     if points.face is not None:
         level = np.unique(points.face, axis=0, return_inverse=True)[1].ravel()
@@ -453,28 +410,12 @@ def stripe_offsets(geometry: Geometry, points: StripePoints) -> tuple[Floats, Fl
     return np.array(offset), np.array(at).reshape(-1, 2), np.array(surface, np.int64)
 
 
-def _print_off_plane(geometry: Geometry, bend: Bend, points: StripePoints, xyz: Floats) -> Floats:
-    """Give (point, 3) the way from each board's plane to its print at these points; 0 on the belt."""
-    way = np.zeros_like(xyz)
-    on = np.flatnonzero(points.pose != ON_BELT)
-    rotation, place = geometry.rotation[points.pose[on]], geometry.shift[points.pose[on]]
-    place = place + points.counts[on, None] * geometry.travel
-    there = ((xyz[on] - place)[:, None, :] @ rotation)[:, 0, :2]
-    way[on] = bend.height_mm(there)[:, None] * rotation[:, :, 2]
-    return way
-
-
-_STRIPES_MIN = 4
-"""Stripes on a surface: through three a plane fits always."""
+_STRIPES_MIN = 4  # stripes on a surface: through three a plane fits always
 
 
 _WORSE_MAX = 1.5
 """Marks of other views over those used: half as large again means that the lens was fitted to noise."""
-_BIAS_SHARE_MAX = 1.0
-"""Thousandths of the height range: 20 µm of 20 mm; heights then err by less than a product's volume is asked
-for."""
-_COVERAGE_TOLD_MIN = 0.7
-"""Of the cells with marks: with fewer it is told."""
+_COVERAGE_TOLD_MIN = 0.7  # of the cells with marks: with fewer it is told
 _STRAYS_TOLD = 0.1
 """A tenth of the peaks far off is more than noise and the odd reflection give (0 to 4 % on sound sets)."""
 _NOISE_TOLD = 2.0
@@ -486,110 +427,89 @@ _UNUSABLE = 10.0
 def evidence_of(joined: Joint, calibration: Calibration) -> Evidence:
     """Show what speaks for a calibration, and judge it in words."""
     held = cross_validate(joined.measured, joined.adjusted.geometry)
-    figures = _figures(joined, held, calibration)
-    usable = not any(one.value > _UNUSABLE * one.limit for one in _heights_of(figures))
+    offsets = stripe_offsets(joined.adjusted.geometry, joined.measured.points)
+    figures = _figures(joined, held, offsets[0], calibration)
+    judging = [figures[key] for key in ("bias", "agree") if key in figures]
+    usable = not any(one.value > _UNUSABLE * one.limit for one in judging)
     verdict = _verdict(figures, held, calibration, usable=usable)
-    return Evidence(verdict, tuple(figures.values()), _residuals(joined, held), usable)
+    return Evidence(verdict, tuple(figures.values()), _residuals(joined, held, offsets), usable)
 
 
-def _residuals(joined: Joint, held: CrossValidation) -> tuple[Residuals, ...]:
+def _residuals(
+    joined: Joint, held: CrossValidation, offsets: tuple[Floats, Floats, Integers]
+) -> tuple[Residuals, ...]:
     adjusted, measured = joined.adjusted, joined.measured
     marks, used = measured.corners, adjusted.corner_used
     points, seen = measured.points, adjusted.stripe_used
-    at = np.column_stack([points.x_px, points.row_px])
-    offset, middle, surface = stripe_offsets(adjusted.geometry, points)
-    axes = ("x", "y")
+    peaks_px = points.xy_px
     shown = [
         Residuals(
-            f"board corners, {axis}",
-            "px",
-            marks.xy_px[used],
-            -adjusted.corner_px[used, number],
-            marks.pose[used],
+            f"board corners, {axis}", "px", marks.xy_px[used], -adjusted.corner_px[used, n], marks.pose[used],
             f"Board corners, {axis} in the image; group: the view.",
         )
-        for number, axis in enumerate(axes)
-    ]
+        for n, axis in enumerate("xy")
+    ]  # fmt: skip
     shown += [
         Residuals(
-            f"board corners of held-out views, {axis}",
-            "px",
-            held.mark_at_px,
-            held.mark_px[:, number],
+            f"board corners of held-out views, {axis}", "px", held.mark_at_px, held.mark_px[:, n],
             held.mark_pose,
             "Each fifth view was left out in turn; the board's pose is its own, the camera that of the rest.",
             held_out=True,
         )
-        for number, axis in enumerate(axes)
-    ]
+        for n, axis in enumerate("xy")
+    ]  # fmt: skip
     shown += [
         Residuals(
-            "stripe peaks",
-            "px",
-            at[seen],
-            adjusted.stripe_px[seen],
-            points.stripe[seen],
+            "stripe peaks", "px", peaks_px[seen], adjusted.stripe_px[seen], points.stripe[seen],
             "Means over a few rows, along the row, on boards and belt; group: the stripe.",
         ),
         Residuals(
-            "heights on held-out views",
-            "mm",
-            held.height_at_px,
-            held.height_mm,
-            held.height_stripe,
+            "heights on held-out views", "mm", held.height_at_px, held.height_mm, held.height_stripe,
             "Stripe points on boards that were left out, against the place their corners give; group: the "
             "stripe.",
             held_out=True,
         ),
         Residuals(
-            "stripes against each other",
-            "mm",
-            middle,
-            offset,
-            np.maximum(surface, 0),
+            "stripes against each other", "mm", offsets[1], offsets[0], np.maximum(offsets[2], 0),
             "Mean distance of each stripe's points from the plane through those of all stripes on the same "
             "board or belt; group: the view.",
         ),
-    ]
+    ]  # fmt: skip
     return tuple(one for one in shown if len(one.error))
 
 
-def _figures(joined: Joint, held: CrossValidation, calibration: Calibration) -> dict[str, EvidenceFigure]:
+def _figures(
+    joined: Joint, held: CrossValidation, offset_mm: Floats, calibration: Calibration
+) -> dict[str, EvidenceFigure]:
     adjusted, residuals = joined.adjusted, calibration.residuals
     found = {}
+    thousandth_mm = 1e-3 * (calibration.height_range_mm[1] - calibration.height_range_mm[0])
     covered = residuals.get("corners_coverage", residuals.get("marks_coverage"))  # of older files
     if covered is not None:
-        found["coverage"] = EvidenceFigure(
-            "part of the image without board corners",
-            1.0 - covered,
-            "1",
-            "6 × 6 cells",
-            1.0 - _COVERAGE_TOLD_MIN,
-        )
+        title, limit = "part of the image without board corners", 1.0 - _COVERAGE_TOLD_MIN
+        found["coverage"] = EvidenceFigure(title, 1.0 - covered, "1", "6 × 6 cells", limit)
     if held.mark_px.size:
-        rms = _rms(adjusted.corner_px[adjusted.corner_used])
         found["corners"] = EvidenceFigure(
             "board corners of held-out views over those used, rms",
-            _robust_rms(held.mark_px) / max(rms, 1e-12),
+            _robust_rms(held.mark_px) / max(_rms(adjusted.corner_px[adjusted.corner_used]), 1e-12),
             "1",
             "cross-validation, every fifth view left out in turn",
             _WORSE_MAX,
         )
     if held.height_mm.size:
-        means = _means(held.height_mm, held.height_pose)
-        low, high = calibration.height_range_mm
-        found["heights"] = EvidenceFigure(
+        boards = np.unique(held.height_pose)
+        means = np.array([held.height_mm[held.height_pose == one].mean() for one in boards])
+        title, basis = (
             "heights on held-out views, single points, rms",
-            _robust_rms(held.height_mm),
-            "mm",
             "means over a few rows, random part included",
         )
+        found["heights"] = EvidenceFigure(title, _robust_rms(held.height_mm), "mm", basis)
         found["bias"] = EvidenceFigure(
             "heights on held-out views, mean of a board, rms",
             _rms(means),
             "mm",
             f"{means.size} boards; at most a thousandth of the height range",
-            1e-3 * _BIAS_SHARE_MAX * (high - low),
+            thousandth_mm,
         )
     found["strays"] = EvidenceFigure(
         "stripe peaks left out as far off",
@@ -605,20 +525,15 @@ def _figures(joined: Joint, held: CrossValidation, calibration: Calibration) -> 
         "rms of means over a few rows",
         _NOISE_TOLD,
     )
-    offset = stripe_offsets(adjusted.geometry, joined.measured.points)[0]
-    if offset.size:
+    if offset_mm.size:
         found["agree"] = EvidenceFigure(
             "stripes against each other on one surface, rms",
-            _rms(offset),
+            _rms(offset_mm),
             "mm",
-            f"{offset.size} stripes on boards and belt; at most a thousandth of the height range",
-            1e-3 * (calibration.height_range_mm[1] - calibration.height_range_mm[0]),
+            f"{offset_mm.size} stripes on boards and belt; at most a thousandth of the height range",
+            thousandth_mm,
         )
     return found
-
-
-def _heights_of(figures: dict[str, EvidenceFigure]) -> list[EvidenceFigure]:
-    return [figures[key] for key in ("bias", "agree") if key in figures]
 
 
 def _verdict(
@@ -626,6 +541,7 @@ def _verdict(
 ) -> tuple[str, ...]:
     low, high = calibration.height_range_mm
     over = [key for key, one in figures.items() if one.value > one.limit]
+    value = {key: one.value for key, one in figures.items()}
     range_mm = f"from {low:g} to {high:.1f} mm"
     if not usable:
         words = [f"Not usable {range_mm}: heights are off by more than a hundredth of that range, see below."]
@@ -635,38 +551,26 @@ def _verdict(
         words = [f"Usable {range_mm}: it passed all checks."]
     if "bias" in figures:
         words.append(
-            f"On held-out boards heights are {1e3 * figures['heights'].value:.0f} µm off (rms of "
-            f"single points) and {1e3 * figures['bias'].value:.1f} µm in the mean of a board."
+            f"On held-out boards heights are {1e3 * value['heights']:.0f} µm off (rms of "
+            f"single points) and {1e3 * value['bias']:.1f} µm in the mean of a board."
         )
     else:
         words.append("No view can be spared: there is no check on held-out views. Take more poses.")
-    if "corners" in over:
-        words.append(
-            f"Held-out views fit {figures['corners'].value:.1f} times worse than those it was made from: "
-            "too few poses for this lens model, or poses too much alike."
-        )
-    if "bias" in over:
-        words.append("Held-out boards lie at wrong heights: a bent board, or too few poses.")
-    if "agree" in over:
-        words.append(
-            f"Stripes contradict each other by {1e3 * figures['agree'].value:.0f} µm on one surface: steps "
-            "between stripes of that size are the calibration's, not the product's."
-        )
-    if "strays" in over:
-        words.append(
-            f"{figures['strays'].value:.0%} of the stripe peaks on even print are far off and not used: look "
-            "at the laser images for reflections, a lamp, or a board that moved."
-        )
-    if "noise" in over:
-        words.append(
-            f"Stripe peaks scatter {figures['noise'].value:.1f} times as much as the extractor states: what "
-            "is stated of heights by their peaks is too small by so much."
-        )
-    if "coverage" in over:
-        words.append(
-            f"Board corners cover {1.0 - figures['coverage'].value:.0%} of the image: elsewhere the lens is "
-            "extrapolated, and heights there are not proven."
-        )
+    told = {
+        "corners": "Held-out views fit {:.1f} times worse than those it was made from: too few poses for "
+        "this lens model, or poses too much alike.",
+        "bias": "Held-out boards lie at wrong heights: a bent board, or too few poses.",
+        "agree": "Stripes contradict each other by {:.0f} µm on one surface: steps between stripes of that "
+        "size are the calibration's, not the product's.",
+        "strays": "{:.0%} of the stripe peaks on even print are far off and not used: look at the laser "
+        "images for reflections, a lamp, or a board that moved.",
+        "noise": "Stripe peaks scatter {:.1f} times as much as the extractor states: what is stated of "
+        "heights by their peaks is too small by so much.",
+        "coverage": "Board corners cover {:.0%} of the image: elsewhere the lens is extrapolated, and "
+        "heights there are not proven.",
+    }
+    said = value | {"agree": 1e3 * value.get("agree", 0.0), "coverage": 1.0 - value.get("coverage", 0.0)}
+    words += [sentence.format(said[key]) for key, sentence in told.items() if key in over]
     if held.skipped:
         words.append(f"{held.skipped} views could not be left out: the rest determines no calibration.")
     return tuple(words)
@@ -680,7 +584,3 @@ def _robust_rms(values: Floats) -> float:
     """Rms without what is beyond six times the median: strays are left out of the adjustment as well."""
     size = np.abs(values)
     return _rms(values[size <= 6.0 * max(float(np.median(size)), 1e-12)])
-
-
-def _means(values: Floats, group: np.ndarray) -> Floats:
-    return np.array([values[group == one].mean() for one in np.unique(group)])

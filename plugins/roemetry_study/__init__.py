@@ -21,7 +21,5 @@ def roemetry_verbs() -> Iterable[VerbEntry]:
         "Gauge studies, acceptance tests, uncertainty budgets, and plans for them.",
     )
     yield VerbEntry(
-        "verify",
-        "roemetry_study.commands:verify",
-        "Prove that a certificate is unchanged and who signed it.",
+        "verify", "roemetry_study.commands:verify", "Prove that a certificate is unchanged and who signed it."
     )

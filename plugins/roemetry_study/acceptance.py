@@ -45,10 +45,8 @@ report.
 GUARD = 1.645
 """Standard uncertainties of the guard band: 95 % one-sided (ISO 14253-1)."""
 
-_NEAREST = 0.95
-"""Share of points that dispersion is taken over (ISO 10360-13, D95)."""
-_POINTS_MIN = 50
-"""On a sphere or plane: fewer do not show its form."""
+_NEAREST = 0.95  # share of points that dispersion is taken over (ISO 10360-13, D95)
+_POINTS_MIN = 50  # on a sphere or plane: fewer do not show its form
 _FIT_STD_MAX = 0.002
 """Of a sphere's radius: where noise alone makes centre or radius more uncertain, too few stripes cross it,
 and the fit would be judged instead of the instrument."""
@@ -100,36 +98,52 @@ def measure(
 ) -> Iterator[Value]:
     """Give every characteristic that an artefact shows in one image.
 
-    Parameters
-    ----------
-    profiles
-        Of the image.
-    artefact
-        In it.
-    view
-        Of the calibration: lengths in X and Y by perspective.
-    light
-        Of the image: a block's edges. Without it its side is not measured.
+    The calibration's `view` gives lengths in X and Y by perspective, the image's `light` a block's edges:
+    without it its side is not measured.
 
-    Raises
-    ------
-    DataError
-        The artefact is not found.
+    Raises DataError: the artefact is not found.
     """
-    if isinstance(artefact.target, SpherePlate):
-        return _of_spheres(profiles, artefact.target, artefact.std_mm)
-    if isinstance(artefact.target, Block):
-        return _of_block(profiles, artefact.target, artefact.std_mm, view, light)
-    return _of_staircase(profiles, artefact.target, artefact.std_mm)
+    target, std_mm = artefact.target, artefact.std_mm
+    if isinstance(target, SpherePlate):
+        yield from _of_spheres(profiles, target, std_mm)
+    elif isinstance(target, Block):
+        places = find_block(profiles, target, light)
+        top = profiles.xyz_mm[places.top]
+        away = top - top.mean(axis=0)
+        off = away @ np.linalg.svd(away, full_matrices=False)[2][-1]
+        yield Value("flatness", "top of the block", dispersion(off), 0.0, 0.0)
+        read = read_block(profiles, places, view)
+        yield Value("step", "belt to top", read.height_mm - read.belt_mm, target.height_mm, std_mm)
+        if math.isfinite(read.width_mm):
+            yield Value("length", "side along the stripes", read.width_mm, target.width_mm, std_mm)
+    else:
+        found = _levels_of(profiles, target)
+        for low, high in combinations(found, 2):
+            yield Value("step", f"{low:g} to {high:g} mm", found[high] - found[low], high - low, std_mm)
+
+
+def _levels_of(profiles: Profiles, stairs: Staircase) -> dict[float, float]:
+    """Give the measured height of the belt and of each step by the described one, mm."""
+    height = profiles.xyz_mm[..., 2][profiles.seen & (profiles.product > BELT)]
+    levels = np.sort(np.array(stairs.heights_mm))
+    apart = float(np.diff(np.concatenate([[0.0], levels])).min())
+    found = {0.0: 0.0}
+    for level in levels.tolist():
+        near = height[np.abs(height - level) < 0.25 * apart]
+        if near.size < _POINTS_MIN:
+            raise DataError(
+                f"the staircase `{stairs.name}`: {near.size} points near its step of {level:g} mm, expected "
+                f"{_POINTS_MIN}",
+                hint="does every step lie under a stripe?",
+            )
+        found[level] = float(np.median(near))
+    return found
 
 
 def decide(values: Sequence[Value], limits_mm: dict[str, float]) -> tuple[Outcome, ...]:
     """Hold the largest error of each characteristic against its limit.
 
-    Raises
-    ------
-    DataError
-        Nothing was measured of a characteristic that has a limit.
+    Raises DataError: nothing was measured of a characteristic that has a limit.
     """
     outcomes = []
     for name, limit in limits_mm.items():
@@ -140,11 +154,10 @@ def decide(values: Sequence[Value], limits_mm: dict[str, float]) -> tuple[Outcom
                 hint="add images of an artefact that does, or take the limit away",
             )
         worst = max(mine, key=lambda value: abs(value.error_mm))
-        guard = GUARD * worst.std_mm
-        size = abs(worst.error_mm)
-        decision = (
-            "accepted" if size <= limit - guard else "rejected" if size > limit + guard else "undecided"
-        )
+        guard, size = GUARD * worst.std_mm, abs(worst.error_mm)
+        decision = "undecided" if size <= limit + guard else "rejected"
+        if size <= limit - guard:
+            decision = "accepted"
         count = "1 value" if len(mine) == 1 else f"{len(mine)} values"
         words = (
             f"{CHARACTERISTICS[name]}: {decision}: largest error {worst.error_mm:+.4f} mm ({worst.what}), "
@@ -154,6 +167,38 @@ def decide(values: Sequence[Value], limits_mm: dict[str, float]) -> tuple[Outcom
             words += f" of {WANTED[name]} recommended"
         outcomes.append(Outcome(name, limit, worst, len(mine), decision, words))
     return tuple(outcomes)
+
+
+def _of_spheres(profiles: Profiles, plate: SpherePlate, std_mm: float) -> Iterator[Value]:
+    radius = 0.5 * plate.diameter_mm
+    known = profiles.seen & (profiles.product > BELT) & np.isfinite(profiles.xyz_mm).all(axis=2)
+    points = profiles.xyz_mm[known]
+    # above the middle of the upper half of a sphere no plate and no neighbour is near
+    points = points[points[:, 2] > plate.centre_height_mm]
+    fitted: dict[tuple[int, int], Floats] = {}
+    for place, start in _grid_in(points, plate).items():
+        centre, size = start, radius
+        for _ in range(2):
+            near = np.abs(np.linalg.norm(points - centre, axis=1) - size) < _NEAR_SHARE * radius
+            if near.sum() < _POINTS_MIN:
+                break
+            own = points[near]
+            centre, size = fit_sphere(own, centre, size)
+        if near.sum() < _POINTS_MIN or fit_std(own, centre, size) > _FIT_STD_MAX * radius:
+            continue
+        name = f"sphere {place[0] + 1}, {place[1] + 1}"
+        yield Value("form", name, dispersion(np.linalg.norm(own - centre, axis=1) - size), 0.0, 0.0)
+        yield Value("size", name, 2.0 * size, plate.diameter_mm, std_mm)
+        fitted[place] = centre
+    if len(fitted) < min(2, plate.columns * plate.rows):
+        raise DataError(
+            f"the sphere plate `{plate.name}`: {len(fitted)} spheres are seen on enough stripes",
+            hint="move the plate a little: each sphere's upper half should lie under two stripes or more",
+        )
+    for (a, one), (b, other) in combinations(fitted.items(), 2):
+        true = plate.pitch_mm * math.dist(a, b)
+        name = f"spheres {a[0] + 1}, {a[1] + 1} to {b[0] + 1}, {b[1] + 1}"
+        yield Value("spacing", name, float(np.linalg.norm(one - other)), true, std_mm)
 
 
 def overall(outcomes: Sequence[Outcome]) -> str:
@@ -194,46 +239,10 @@ def dispersion(residual_mm: Floats) -> float:
     return float((ordered[within - 1 :] - ordered[: ordered.size - within + 1]).min())
 
 
-def _of_spheres(profiles: Profiles, plate: SpherePlate, std_mm: float) -> Iterator[Value]:
-    radius = 0.5 * plate.diameter_mm
-    known = profiles.seen & (profiles.product > BELT) & np.isfinite(profiles.xyz_mm).all(axis=2)
-    points = profiles.xyz_mm[known]
-    # above the middle of the upper half of a sphere no plate and no neighbour is near
-    points = points[points[:, 2] > plate.centre_height_mm]
-    centres = _grid_in(points, plate)
-    fitted: dict[tuple[int, int], Floats] = {}
-    for place, centre in centres.items():
-        near = np.abs(np.linalg.norm(points - centre, axis=1) - radius) < _NEAR_SHARE * radius
-        if near.sum() < _POINTS_MIN:
-            continue
-        own = points[near]
-        found, size = fit_sphere(own, centre, radius)
-        own = points[np.abs(np.linalg.norm(points - found, axis=1) - size) < _NEAR_SHARE * radius]
-        found, size = fit_sphere(own, found, size)
-        if fit_std(own, found, size) > _FIT_STD_MAX * radius:
-            continue
-        name = f"sphere {place[0] + 1}, {place[1] + 1}"
-        yield Value("form", name, dispersion(np.linalg.norm(own - found, axis=1) - size), 0.0, 0.0)
-        yield Value("size", name, 2.0 * size, plate.diameter_mm, std_mm)
-        fitted[place] = found
-    if len(fitted) < min(2, plate.columns * plate.rows):
-        raise DataError(
-            f"the sphere plate `{plate.name}`: {len(fitted)} spheres are seen on enough stripes",
-            hint="move the plate a little: each sphere's upper half should lie under two stripes or more",
-        )
-    for (a, one), (b, other) in combinations(fitted.items(), 2):
-        true = plate.pitch_mm * math.hypot(a[0] - b[0], a[1] - b[1])
-        name = f"spheres {a[0] + 1}, {a[1] + 1} to {b[0] + 1}, {b[1] + 1}"
-        yield Value("spacing", name, float(np.linalg.norm(one - other)), true, std_mm)
-
-
 def _grid_in(points: Floats, plate: SpherePlate) -> dict[tuple[int, int], Floats]:
     """Find the plate: by column and row, where its spheres' centres are, mm.
 
-    Raises
-    ------
-    DataError
-        Less than half of the points lie near a sphere at the best place and turn.
+    Raises DataError: less than half of the points lie near a sphere at the best place and turn.
     """
     if len(points) < _POINTS_MIN:
         raise DataError(
@@ -242,18 +251,24 @@ def _grid_in(points: Floats, plate: SpherePlate) -> dict[tuple[int, int], Floats
     radius = 0.5 * plate.diameter_mm
     some = points[:: max(len(points) // 80, 1)]
     up = (some[:, 2] - plate.centre_height_mm)[None, :, None]
-    grid = plate.pitch_mm * np.array(list(product(range(plate.columns), range(plate.rows))), np.float64)
+    places = list(product(range(plate.columns), range(plate.rows)))
+    grid = plate.pitch_mm * np.array(places, np.float64)
     grid -= grid.mean(axis=0)
     turn, at = 0.0, some[:, :2].mean(axis=0)
     reach, step, turn_step = 0.5 * plate.pitch_mm, 0.3 * radius, math.radians(6.0)
     turns = np.arange(-0.5 * math.pi, 0.5 * math.pi, turn_step)
     best = math.inf
+
+    def turned(by: float) -> Floats:
+        turn = np.array([[math.cos(by), math.sin(by)], [-math.sin(by), math.cos(by)]])
+        return np.asarray(grid @ turn)
+
     for capped in (0.4, 0.2, _NEAR_SHARE, _NEAR_SHARE):  # coarse places are farther from the best one
         offsets = np.arange(-reach, reach + 0.5 * step, step)
         shift = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 2)
         best, found = math.inf, (turn, at)
         for each in turns:
-            centres = at + shift[:, None] + grid @ _rotation(each).T
+            centres = at + shift[:, None] + turned(each)
             flat = some[None, :, None, :2] - centres[:, None]
             off = np.abs(np.sqrt((flat**2).sum(axis=-1) + up**2) - radius).min(axis=2)
             cost = np.minimum(off, capped * radius).mean(axis=1)
@@ -268,51 +283,5 @@ def _grid_in(points: Floats, plate: SpherePlate) -> dict[tuple[int, int], Floats
             f"sphere of {plate.diameter_mm:g} mm",
             hint="is it the plate of the target file, and does it lie on the belt alone?",
         )
-    return {
-        (int(c), int(r)): np.array(
-            [*(grid[c * plate.rows + r] @ _rotation(turn).T + at), plate.centre_height_mm]
-        )
-        for c, r in product(range(plate.columns), range(plate.rows))
-    }
-
-
-def _rotation(turn: float) -> Floats:
-    return np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-
-
-def _of_block(
-    profiles: Profiles, block: Block, std_mm: float, view: View | None, light: Light | None
-) -> Iterator[Value]:
-    places = find_block(profiles, block, light)
-    top = profiles.xyz_mm[places.top]
-    yield Value("flatness", "top of the block", dispersion(_off_plane(top)), 0.0, 0.0)
-    read = read_block(profiles, places, view)
-    yield Value("step", "belt to top", read.height_mm - read.belt_mm, block.height_mm, std_mm)
-    if math.isfinite(read.width_mm):
-        yield Value("length", "side along the stripes", read.width_mm, block.width_mm, std_mm)
-
-
-def _of_staircase(profiles: Profiles, stairs: Staircase, std_mm: float) -> Iterator[Value]:
-    height = profiles.xyz_mm[..., 2][profiles.seen & (profiles.product > BELT)]
-    levels = np.sort(np.array(stairs.heights_mm))
-    apart = float(np.diff(np.concatenate([[0.0], levels])).min())
-    found: dict[float, float] = {}
-    for level in levels.tolist():
-        near = height[np.abs(height - level) < 0.25 * apart]
-        if near.size < _POINTS_MIN:
-            raise DataError(
-                f"the staircase `{stairs.name}`: {near.size} points near its step of {level:g} mm, expected "
-                f"{_POINTS_MIN}",
-                hint="does every step lie under a stripe?",
-            )
-        found[level] = float(np.median(near))
-    pairs = [(0.0, level) for level in found] + list(combinations(found, 2))
-    for low, high in pairs:
-        measured = found[high] - (found[low] if low else 0.0)
-        yield Value("step", f"{low:g} to {high:g} mm", measured, high - low, std_mm)
-
-
-def _off_plane(points: Floats) -> Floats:
-    """Give (point,) distances from the plane of least squares, mm."""
-    away = points - points.mean(axis=0)
-    return np.asarray(away @ np.linalg.svd(away, full_matrices=False)[2][-1])
+    centres = np.column_stack([turned(turn) + at, np.full(len(grid), plate.centre_height_mm)])
+    return dict(zip(places, centres, strict=True))

@@ -61,8 +61,6 @@ class Agreement:
 
     parts: int
     readings: int
-    classes: tuple[str, ...]
-    good: str
     operators: tuple[Operator, ...]
     between: Figure
     """Fleiss' kappa over all readings."""
@@ -72,19 +70,9 @@ class Agreement:
 
 
 def agreement(table: StudyTable, good: str) -> Agreement:
-    """Compare classes.
+    """Compare classes, maybe with references; misses and false alarms are counted by the class `good`.
 
-    Parameters
-    ----------
-    table
-        Readings that are words; maybe with references.
-    good
-        The class of good parts: misses and false alarms are counted by it.
-
-    Raises
-    ------
-    DataError
-        Fewer than ten parts, or one class throughout.
+    Raises DataError: fewer than ten parts, or one class throughout.
     """
     classes = tuple(sorted({r.value for r in table.readings} | {r.reference for r in table.readings} - {""}))
     if len(table.parts) < PARTS_MIN:
@@ -94,41 +82,49 @@ def agreement(table: StudyTable, good: str) -> Agreement:
             f"{table.source}: every reading is `{classes[0]}`: agreement beyond chance has no meaning"
         )
     parts = [[r for r in table.readings if r.part == part] for part in table.parts]
-    operators = tuple(_operator(name, parts, good) for name in table.operators)
-    between = _kappa(lambda some: _fleiss(some, classes), parts)
+
+    def between(some: Sequence[Sequence[Reading]], one: str, other: str) -> tuple[float, float]:
+        """Compare two operators' readings of each part, trial by trial in order."""
+        pairs: list[tuple[str, str]] = []
+        for part in some:
+            own, theirs = ([r.value for r in part if r.operator == name] for name in (one, other))
+            pairs += zip(own, theirs, strict=False)
+        return _cohen(pairs)
+
+    operators, words = [], []
+    for name in table.operators:
+        mine = [[r for r in part if r.operator == name] for part in parts]
+        known = [[r for r in part if r.reference] for part in mine]
+        passed = sum(r.value == good for part in known for r in part)
+        truly = sum(r.reference == good for part in known for r in part)
+        one = Operator(
+            name,
+            _share([[len({r.value for r in part}) == 1] for part in mine if len(part) > 1]),
+            _share([[r.value == r.reference for r in part] for part in known]),
+            _kappa(lambda some: _cohen([(r.value, r.reference) for part in some for r in part]), known),
+            _share([[r.value == good for r in part if r.reference != good] for part in known]),
+            _share([[r.value != good for r in part if r.reference == good] for part in known]),
+            passed / truly - 1.0 if truly else math.nan,
+        )
+        operators.append(one)
+        if math.isfinite(one.missed.value):
+            words.append(
+                f"{one.name}: calls {one.missed.value:.1%} of the bad ones `{good}` "
+                f"(95 %: {one.missed.low:.1%} to {one.missed.high:.1%}), {one.false_alarm.value:.1%} of the "
+                f"good ones not; kappa against the reference {one.kappa.value:.2f}"
+            )
+    over_all = _kappa(lambda some: _fleiss(some, classes), parts)
+    if math.isfinite(over_all.value):
+        words.append(
+            f"all readings agree with kappa {over_all.value:.2f} (95 %: {over_all.low:.2f} to "
+            f"{over_all.high:.2f}); above 0.75 is good, below 0.40 poor (AIAG MSA)"
+        )
     pairs = tuple(
-        (one, other, _kappa(partial(_between, one=one, other=other), parts))
+        (one, other, _kappa(partial(between, one=one, other=other), parts))
         for one, other in combinations(table.operators, 2)
     )
-    return Agreement(
-        len(parts),
-        len(table.readings),
-        classes,
-        good,
-        operators,
-        between,
-        pairs,
-        tuple(_words(operators, between, good)),
-    )
-
-
-def _operator(name: str, parts: Sequence[Sequence[Reading]], good: str) -> Operator:
-    mine = [[r for r in part if r.operator == name] for part in parts]
-    repeated = [part for part in mine if len(part) > 1]
-    known = [[r for r in part if r.reference] for part in mine]
-    bad = [[r.value == good for r in part if r.reference != good] for part in known]
-    fine = [[r.value != good for r in part if r.reference == good] for part in known]
-    passed = sum(r.value == good for part in known for r in part)
-    truly = sum(r.reference == good for part in known for r in part)
-    return Operator(
-        name,
-        _share([[len({r.value for r in part}) == 1] for part in repeated]),
-        _share([[r.value == r.reference for r in part] for part in known]),
-        _kappa(lambda some: _cohen([(r.value, r.reference) for part in some for r in part]), known),
-        _share(bad),
-        _share(fine),
-        passed / truly - 1.0 if truly else math.nan,
-    )
+    readings = len(table.readings)
+    return Agreement(len(parts), readings, tuple(operators), over_all, pairs, tuple(words))
 
 
 def _share(by_part: Sequence[Sequence[bool]]) -> Figure:
@@ -182,21 +178,6 @@ def _kappa(
     return Figure(value, max(1.0 - high / expected, -1.0), 1.0 - low / expected, readings)
 
 
-def _paired(parts: Sequence[Sequence[Reading]], one: str, other: str) -> list[tuple[str, str]]:
-    """Pair two operators' readings of each part, trial by trial in order."""
-    return [
-        (a.value, b.value)
-        for part in parts
-        for a, b in zip(
-            [r for r in part if r.operator == one], [r for r in part if r.operator == other], strict=False
-        )
-    ]
-
-
-def _between(parts: Sequence[Sequence[Reading]], one: str, other: str) -> tuple[float, float]:
-    return _cohen(_paired(parts, one, other))
-
-
 def _cohen(pairs: Sequence[tuple[str, str]]) -> tuple[float, float]:
     """Give observed and expected disagreement of pairs (Cohen 1960)."""
     n = len(pairs)
@@ -220,20 +201,3 @@ def _fleiss(parts: Sequence[Sequence[Reading]], classes: Sequence[str]) -> tuple
     size = table.sum(axis=1)
     agreed = float((((table * (table - 1.0)).sum(axis=1)) / (size * (size - 1.0))).mean())
     return 1.0 - agreed, 1.0 - float(((table.sum(axis=0) / size.sum()) ** 2).sum())
-
-
-def _words(operators: Sequence[Operator], between: Figure, good: str) -> list[str]:
-    words = []
-    for one in operators:
-        if math.isfinite(one.missed.value):
-            words.append(
-                f"{one.name}: calls {one.missed.value:.1%} of the bad ones `{good}` "
-                f"(95 %: {one.missed.low:.1%} to {one.missed.high:.1%}), {one.false_alarm.value:.1%} of the "
-                f"good ones not; kappa against the reference {one.kappa.value:.2f}"
-            )
-    if math.isfinite(between.value):
-        words.append(
-            f"all readings agree with kappa {between.value:.2f} (95 %: {between.low:.2f} to "
-            f"{between.high:.2f}); above 0.75 is good, below 0.40 poor (AIAG MSA)"
-        )
-    return words

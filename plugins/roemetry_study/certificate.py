@@ -13,7 +13,7 @@ import base64
 import hashlib
 import json
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -90,19 +90,8 @@ class Certificate:
 def write(certificate: Certificate, folder: Path, name: str, key: Path | None = None) -> tuple[Path, Path]:
     """Write a certificate's file and page, whole or not at all; sign with the private key if there is one.
 
-    Returns
-    -------
-    tuple
-        Paths of the JSON file and of the page.
-
-    Raises
-    ------
-    PluginError
-        A key is named and the library that signs is not installed.
-    DataError
-        The key cannot be read.
-    OutputError
-        The folder cannot be written.
+    Gives the paths of the JSON file and of the page. Raises PluginError: a key is named and the library that
+    signs is not installed; DataError: the key cannot be read; OutputError: the folder cannot be written.
     """
     document = certificate.document()
     if key is not None:
@@ -150,23 +139,11 @@ class Verified:
 
 
 def verify(path: Path, trusted_key: str = "", page: Path | None = None) -> Verified:
-    """Prove that a certificate is unchanged.
+    """Prove that a certificate's JSON file is unchanged, and maybe its `page` was made of it.
 
-    Parameters
-    ----------
-    path
-        The JSON file.
-    trusted_key
-        Public key of whoever should have signed; "": any.
-    page
-        The certificate's page, to be held against the file.
-
-    Raises
-    ------
-    DataError
-        It is no certificate, was changed, is not signed, or is signed by another key.
-    PluginError
-        The library that verifies is not installed.
+    It should have been signed with the public key `trusted_key`; "": with any. Raises DataError: it is no
+    certificate, was changed, is not signed, or is signed by another key; PluginError: the library that
+    verifies is not installed.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -231,11 +208,6 @@ def software_sha256() -> str:
 def _text(document: Mapping[str, Any]) -> str:
     """Give the file's text: one way to write it, so that not even a blank can change unseen."""
     return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def hashed(paths: Sequence[Path]) -> dict[str, str]:
-    """Give the SHA-256 of each file by its name."""
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
 
 def _private(path: Path) -> Any:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -24,18 +24,22 @@ study = typer.Typer(
     help="Gauge studies, acceptance tests, uncertainty budgets, and plans for them.",
 )
 
+
+def _option(name: str, words: str, **more: Any) -> Any:
+    return typer.Option(name, help=words, **more)
+
+
 Out = Annotated[Path | None, out_option("Folder for the certificate: a JSON file and a page; default: none.")]
-Key = Annotated[
-    Path | None, typer.Option("--key", help="Private key that signs it: `roemetry study key` makes one.")
-]
+Key = Annotated[Path | None, _option("--key", "Private key that signs it: `roemetry study key` makes one.")]
 Environment = Annotated[
-    str, typer.Option("--environment", help="Temperature and whatever else matters, for the certificate.")
+    str, _option("--environment", "Temperature and whatever else matters, for the certificate.")
 ]
 Jobs = Annotated[
-    int,
-    typer.Option("--jobs", "-j", min=1, help="Worker processes; the values are the same for any number."),
+    int, typer.Option("--jobs", "-j", min=1, help="Worker processes; the values are the same for any number.")
 ]
-Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks.")]
+Cluster = Annotated[str | None, cluster_option()]
+RunValue = Annotated[str, _option("--value", "Of a run: visible_cm3, true_cm3, mass_g or height_max_mm.")]
+Debug = Annotated[bool, _option("--debug", "Show tracebacks.")]
 
 
 class Method(StrEnum):
@@ -53,29 +57,25 @@ def gauge(
     ],
     value: Annotated[
         str,
-        typer.Option(
+        _option(
             "--value",
-            help="Column of the table; for runs: visible_cm3, true_cm3, mass_g, height_max_mm, grade, or a "
+            "Column of the table; for runs: visible_cm3, true_cm3, mass_g, height_max_mm, grade, or a "
             "feature's name.",
         ),
     ],
     layout: Annotated[
         Path | None,
-        typer.Option(
-            "--layout",
-            help="For runs: a table (CSV) of id, part, operator, trial, optionally run and reference.",
-        ),
+        _option("--layout", "For runs: a table (CSV) of id, part, operator, trial, maybe run and reference."),
     ] = None,
     by: Annotated[
-        str, typer.Option("--by", help="Column that says who or what measured: operator, head, …")
+        str, _option("--by", "Column that says who or what measured: operator, head, …")
     ] = "operator",
     tolerance: Annotated[
-        float | None,
-        typer.Option("--tolerance", min=0.0, help="Width of the tolerance, in the value's unit."),
+        float | None, _option("--tolerance", "Width of the tolerance, in the value's unit.", min=0.0)
     ] = None,
-    nested: Annotated[bool, typer.Option("--nested", help="Each operator had parts of their own.")] = False,
-    method: Annotated[Method, typer.Option("--method", help="How variation is split.")] = Method.anova,
-    good: Annotated[str, typer.Option("--good", help="For classes: the class of good parts.")] = "good",
+    nested: Annotated[bool, _option("--nested", "Each operator had parts of their own.")] = False,
+    method: Annotated[Method, _option("--method", "How variation is split.")] = Method.anova,
+    good: Annotated[str, _option("--good", "For classes: the class of good parts.")] = "good",
     out: Out = None,
     key: Key = None,
     environment: Environment = "",
@@ -110,7 +110,7 @@ def accept(
     out: Out = None,
     key: Key = None,
     jobs: Jobs = 1,
-    cluster: Annotated[str | None, cluster_option()] = None,
+    cluster: Cluster = None,
     debug: Debug = False,
 ) -> None:
     """Test an instrument by artefacts against maximum permissible errors.
@@ -145,14 +145,11 @@ def calibration(
 @study.command()
 def uncertainty(
     source: Annotated[Path, typer.Argument(help="Folder of a run; or a measurement model (YAML).")],
-    value: Annotated[
-        str, typer.Option("--value", help="Of a run: visible_cm3, true_cm3, mass_g or height_max_mm.")
-    ] = "visible_cm3",
+    value: RunValue = "visible_cm3",
     references: Annotated[
         Path | None,
-        typer.Option(
-            "--references",
-            help="Table (CSV) of id, value and std: your own reference values, to compare with.",
+        _option(
+            "--references", "Table (CSV) of id, value and std: your own reference values, to compare with."
         ),
     ] = None,
     debug: Debug = False,
@@ -177,41 +174,34 @@ def uncertainty(
 @study.command()
 def plan(
     part_std: Annotated[
-        float | None,
-        typer.Option("--part-std", help="How much parts vary: standard deviation of the process."),
+        float | None, _option("--part-std", "How much parts vary: standard deviation of the process.")
     ] = None,
     repeatability_std: Annotated[
         float | None,
-        typer.Option(
-            "--repeatability-std",
-            help="How much readings of one part vary; default with --run: as it states.",
+        _option(
+            "--repeatability-std", "How much readings of one part vary; default with --run: as it states."
         ),
     ] = None,
     operator_std: Annotated[
-        float, typer.Option("--operator-std", min=0.0, help="How much operators or heads differ.")
+        float, _option("--operator-std", "How much operators or heads differ.", min=0.0)
     ] = 0.0,
     run: Annotated[
         Path | None,
-        typer.Option(
-            "--run", help="Folder of a run: variation of its products, and the uncertainty it states."
-        ),
+        _option("--run", "Folder of a run: variation of its products, and the uncertainty it states."),
     ] = None,
-    value: Annotated[
-        str, typer.Option("--value", help="Of a run: visible_cm3, true_cm3, mass_g or height_max_mm.")
-    ] = "visible_cm3",
+    value: RunValue = "visible_cm3",
     half_width: Annotated[
         float | None,
-        typer.Option("--half-width", min=0.0, help="Desired half width of the interval of %GRR, per cent."),
+        _option("--half-width", "Desired half width of the interval of %GRR, per cent.", min=0.0),
     ] = None,
     weigh_std: Annotated[
-        float | None, typer.Option("--weigh-std", min=0.0, help="Scatter of mass over volume, as a fraction.")
+        float | None, _option("--weigh-std", "Scatter of mass over volume, as a fraction.", min=0.0)
     ] = None,
     weigh_half_width: Annotated[
-        float,
-        typer.Option("--weigh-half-width", min=0.0, help="Desired half width of their mean, as a fraction."),
+        float, _option("--weigh-half-width", "Desired half width of their mean, as a fraction.", min=0.0)
     ] = 0.01,
     jobs: Jobs = 1,
-    cluster: Annotated[str | None, cluster_option()] = None,
+    cluster: Cluster = None,
     debug: Debug = False,
 ) -> None:
     """Find out how many parts, operators, trials or weighed samples a study needs, by simulation.
@@ -220,17 +210,8 @@ def plan(
     """
     from roemetry_study.reports import of_plan
 
-    for line in of_plan(
-        part_std,
-        repeatability_std,
-        operator_std,
-        run,
-        value,
-        half_width,
-        weigh_std,
-        weigh_half_width,
-        executor_of(cluster, jobs),
-    ):
+    stds, weighing = (part_std, repeatability_std, operator_std), (weigh_std, weigh_half_width)
+    for line in of_plan(*stds, run, value, half_width, *weighing, executor_of(cluster, jobs)):
         typer.echo(line)
 
 
@@ -251,11 +232,9 @@ def key(
 def verify(
     certificate: Annotated[Path, typer.Argument(help="The certificate's JSON file.")],
     signed_by: Annotated[
-        str, typer.Option("--signed-by", help="Public key that must have signed it; default: any.")
+        str, _option("--signed-by", "Public key that must have signed it; default: any.")
     ] = "",
-    page: Annotated[
-        Path | None, typer.Option("--page", help="Its page, to be compared with the file.")
-    ] = None,
+    page: Annotated[Path | None, _option("--page", "Its page, to be compared with the file.")] = None,
     debug: Debug = False,
 ) -> None:
     """Prove that a certificate is unchanged and who signed it.
@@ -291,14 +270,9 @@ def _tell(made: Certificate, out: Path | None, name: str, key: Path | None) -> N
 def _table(head: Sequence[str], rows: Sequence[Sequence[str | float | int]]) -> None:
     cells = [list(head), *([_cell(cell) for cell in row] for row in rows)]
     widths = [max(len(row[k]) for row in cells) for k in range(len(head))]
-    for row in cells:
-        typer.echo(
-            "  "
-            + "  ".join(
-                cell.ljust(w) if k == 0 else cell.rjust(w)
-                for k, (cell, w) in enumerate(zip(row, widths, strict=True))
-            )
-        )
+    for first, *rest in cells:
+        aligned = [cell.rjust(width) for cell, width in zip(rest, widths[1:], strict=True)]
+        typer.echo("  " + "  ".join([first.ljust(widths[0]), *aligned]))
 
 
 def _cell(cell: str | float | int) -> str:

@@ -12,20 +12,21 @@ analysed as the real one will be, and judged by the width of the interval of %GR
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 
 from roemetry.errors import DataError, InterruptedRunError
-from roemetry.records.arrays import Floats
 from roemetry.run.executors import Executor, Lost
 from roemetry.run.workers import Processes
 from roemetry_study.table import Reading, StudyTable
-from roemetry_study.variance import Components, Effect, analyse, average_range
+from roemetry_study.variance import Effect, analyse, average_range
 
 GOOD_PERCENT, POOR_PERCENT = 10.0, 30.0
 """Shares of the gauge in the total below which it is accepted, and above which it is not (AIAG MSA)."""
@@ -33,12 +34,10 @@ CATEGORIES_NEEDED = 5
 """Number of distinct categories asked for (AIAG MSA)."""
 SPREAD = 6.0
 """Standard deviations that a tolerance is compared with: 99.73 % of readings."""
-_CATEGORY = 1.41
-"""√2 as the manual rounds it: its published numbers of categories come out."""
+_CATEGORY = 1.41  # √2 as the manual rounds it: its published numbers of categories come out
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
+class Line(NamedTuple):
     """One source of variation."""
 
     name: str
@@ -46,8 +45,7 @@ class Line:
     low: float
     high: float
     """std, low, high: standard deviation in the value's unit, and its 95 % interval; NaN where there is
-    none.
-    """
+    none."""
     percent: float
     """Share of the total standard deviation, per cent."""
     of_tolerance_percent: float
@@ -58,23 +56,15 @@ class Line:
 class GaugeStudy:
     """What a gauge study found."""
 
-    value: str
-    method: str
-    parts: int
-    operators: int
-    readings: int
     missing: int
     """Readings that a balanced study of this size would have and this has not."""
     lines: tuple[Line, ...]
     effects: tuple[Effect, ...]
-    pooled: bool
     gauge_percent: float
     gauge_percent_interval: tuple[float, float]
     """gauge_percent, gauge_percent_interval: %GRR, of the total variation."""
     categories: int
     categories_interval: tuple[float, float]
-    stated_std: float
-    """Root mean square of the standard uncertainties that came with the values; NaN where none did."""
     verdict: str
     """``accepted``, ``conditional``, or ``not accepted``."""
     words: tuple[str, ...]
@@ -83,102 +73,32 @@ class GaugeStudy:
 def gauge_study(
     table: StudyTable, *, tolerance: float = math.nan, nested: bool = False, method: str = "anova"
 ) -> GaugeStudy:
-    """Judge a gauge.
+    """Judge a gauge by readings that are numbers.
 
-    Parameters
-    ----------
-    table
-        Readings that are numbers.
-    tolerance
-        Width of the tolerance, upper less lower limit, in the value's unit; NaN: none.
-    nested
-        Whether each operator had parts of their own.
-    method
-        ``anova`` or ``average-range``.
-
-    Raises
-    ------
-    DataError
-        As `analyse` and `average_range`.
+    `tolerance` is its width, upper less lower limit, in the value's unit; NaN: none. `nested` says whether
+    each operator had parts of their own, `method` is ``anova`` or ``average-range``. Raises DataError as
+    `analyse` and `average_range`.
     """
     found = average_range(table) if method == "average-range" else analyse(table, nested=nested)
+    std, total = found.std, found.std["total"]
     single = len(table.operators) == 1
     names = ["gauge", "repeatability", "reproducibility", "operator", "interaction", "part", "total"]
-    if single or nested or found.std["interaction"] == 0.0:
+    if single or nested or std["interaction"] == 0.0:
         names.remove("interaction")
         names.remove("operator")
     if single:
         names.remove("reproducibility")
-    lines = tuple(_line(name, found, tolerance) for name in names)
-    share, interval = _share(found.std), found.interval(lambda d: 100.0 * d["gauge"] / d["total"])
-    categories = _categories(found.std)
-    low, high = found.interval(lambda d: _CATEGORY * d["part"] / d["gauge"])
-    stated = np.array([reading.std for reading in table.readings])
-    stated_std = float(np.sqrt(np.mean(stated**2))) if np.isfinite(stated).all() else math.nan
+    lines = []
+    for name in names:
+        low, high = found.interval(itemgetter(name))
+        lines.append(
+            Line(
+                name, std[name], low, high, 100.0 * std[name] / total, 100.0 * SPREAD * std[name] / tolerance
+            )
+        )
+    share, interval = 100.0 * std["gauge"] / total, found.interval(lambda d: 100.0 * d["gauge"] / d["total"])
+    categories = int(_CATEGORY * std["part"] / std["gauge"]) if std["gauge"] > 0.0 else 0
     verdict = _verdict(share)
-    return GaugeStudy(
-        value=table.value,
-        method=found.method,
-        parts=len(table.parts),
-        operators=len(table.operators),
-        readings=len(table.readings),
-        missing=_missing(table, nested),
-        lines=lines,
-        effects=found.effects,
-        pooled=found.pooled,
-        gauge_percent=share,
-        gauge_percent_interval=interval,
-        categories=categories,
-        categories_interval=(low, high),
-        stated_std=stated_std,
-        verdict=verdict,
-        words=tuple(_words(table, found, tolerance, verdict, interval, stated_std)),
-    )
-
-
-def _share(std: dict[str, float]) -> float:
-    return 100.0 * std["gauge"] / std["total"]
-
-
-def _categories(std: dict[str, float]) -> int:
-    return int(_CATEGORY * std["part"] / std["gauge"]) if std["gauge"] > 0.0 else 0
-
-
-def _line(name: str, found: Components, tolerance: float) -> Line:
-    def one(draws: dict[str, Floats]) -> Floats:
-        return draws[name]
-
-    std = found.std[name]
-    return Line(
-        name, std, *found.interval(one), 100.0 * std / found.std["total"], 100.0 * SPREAD * std / tolerance
-    )
-
-
-def _verdict(share: float) -> str:
-    if share <= GOOD_PERCENT:
-        return "accepted"
-    return "conditional" if share <= POOR_PERCENT else "not accepted"
-
-
-def _missing(table: StudyTable, nested: bool) -> int:
-    """Count the readings that the fullest cell's number of trials would ask of every cell."""
-    cells: dict[tuple[str, str], int] = {}
-    for reading in table.readings:
-        key = (reading.part, reading.operator)
-        cells[key] = cells.get(key, 0) + 1
-    planned = len(cells) if nested else len(table.parts) * len(table.operators)
-    return planned * max(cells.values()) - len(table.readings)
-
-
-def _words(
-    table: StudyTable,
-    found: Components,
-    tolerance: float,
-    verdict: str,
-    interval: tuple[float, float],
-    stated_std: float,
-) -> list[str]:
-    share = _share(found.std)
     words = [
         f"{verdict}: the gauge is {share:.1f} % of the total variation"
         + (f" (95 %: {interval[0]:.1f} to {interval[1]:.1f} %)" if math.isfinite(interval[0]) else "")
@@ -189,14 +109,13 @@ def _words(
             "the interval extends into another verdict: more parts or operators would settle it "
             "(`roemetry study plan`)"
         )
-    if _categories(found.std) < CATEGORIES_NEEDED:
+    if categories < CATEGORIES_NEEDED:
         words.append(
-            f"it distinguishes {_categories(found.std)} categories of these parts; "
-            f"{CATEGORIES_NEEDED} are required"
+            f"it distinguishes {categories} categories of these parts; {CATEGORIES_NEEDED} are required"
         )
     if math.isfinite(tolerance):
-        words.append(f"precision to tolerance: {100.0 * SPREAD * found.std['gauge'] / tolerance:.1f} %")
-    if len(table.operators) == 1:
+        words.append(f"precision to tolerance: {100.0 * SPREAD * std['gauge'] / tolerance:.1f} %")
+    if single:
         words.append("one operator: reproducibility is not known, and the gauge's share is a lower bound")
     elif len(table.operators) == 2:
         words.append("two operators: how much operators differ rests on one difference")
@@ -204,8 +123,9 @@ def _words(
         words.append(f"{len(table.parts)} parts: how much parts vary is hardly known; ten are usual")
     if found.pooled:
         words.append("operators and parts do not interact significantly: pooled with the repeatability")
-    if math.isfinite(stated_std):
-        repeatability = found.std["repeatability"]
+    stated = np.array([reading.std for reading in table.readings])
+    if np.isfinite(stated).all():
+        stated_std, repeatability = float(np.sqrt(np.mean(stated**2))), std["repeatability"]
         words.append(
             f"the instrument states a standard uncertainty of {stated_std:.3g}; it repeats within "
             f"{repeatability:.3g}"
@@ -215,22 +135,33 @@ def _words(
                 else ", as it must: what is common to all its readings does not show in repetition"
             )
         )
-    return words
+    # the fullest cell's number of trials is what was planned for every cell
+    cells = Counter((reading.part, reading.operator) for reading in table.readings)
+    planned = len(cells) if nested else len(table.parts) * len(table.operators)
+    return GaugeStudy(
+        missing=planned * max(cells.values()) - len(table.readings),
+        lines=tuple(lines),
+        effects=found.effects,
+        gauge_percent=share,
+        gauge_percent_interval=interval,
+        categories=categories,
+        categories_interval=found.interval(lambda d: _CATEGORY * d["part"] / d["gauge"]),
+        verdict=verdict,
+        words=tuple(words),
+    )
+
+
+def _verdict(share: float) -> str:
+    if share <= GOOD_PERCENT:
+        return "accepted"
+    return "conditional" if share <= POOR_PERCENT else "not accepted"
 
 
 STUDIES = 60
 """Simulated for each size: a mean half width is then known to some 5 %."""
 SIZES = (
-    (5, 2, 2),
-    (5, 3, 2),
-    (10, 2, 2),
-    (10, 3, 2),
-    (10, 3, 3),
-    (15, 3, 2),
-    (15, 3, 3),
-    (20, 3, 3),
-    (30, 3, 3),
-)
+    (5, 2, 2), (5, 3, 2), (10, 2, 2), (10, 3, 2), (10, 3, 3), (15, 3, 2), (15, 3, 3), (20, 3, 3), (30, 3, 3),
+)  # fmt: skip
 """Parts, operators, trials, by effort."""
 
 
@@ -259,24 +190,12 @@ def plan(
     studies: int = STUDIES,
     executor: Executor | None = None,
 ) -> Iterator[Size]:
-    """Simulate studies of each size.
+    """Simulate so many studies of each size: parts, operators and trials.
 
-    Parameters
-    ----------
-    part_std, repeatability_std, operator_std
-        Standard deviations expected, in one unit: of the parts among each other, of repeated readings, and of
-        operators or heads (0 with one).
-    sizes
-        Parts, operators and trials of each; one operator where `operator_std` is 0 will do.
-    studies
-        Simulated for each size.
-    executor
-        What does the work, by default this process; the sizes are the same for any.
+    The standard deviations are those expected, in one unit: of the parts among each other, of repeated
+    readings, and of operators or heads (0 with one). The sizes are the same for any executor.
 
-    Raises
-    ------
-    DataError
-        Parts or readings do not vary.
+    Raises DataError: parts or readings do not vary.
     """
     if not (part_std > 0.0 and repeatability_std > 0.0 and operator_std >= 0.0):
         raise DataError(
@@ -292,8 +211,7 @@ def plan(
             if isinstance(one, Lost):
                 raise InterruptedRunError(f"a simulated study was lost: {one.why}")
             found.append(one)
-        middle = np.median(np.array(found), axis=0)
-        yield Size(*size, float(middle[0]), float(middle[1]))
+        yield Size(*size, *np.median(np.array(found), axis=0).tolist())
 
 
 def _share_found(
@@ -333,10 +251,7 @@ def simulated(
 def samples_for_mean(std: float, half_width: float) -> int:
     """Give how many weighed samples fix a mean (a density, a bias) to ± `half_width` at 95 %.
 
-    Raises
-    ------
-    DataError
-        A width or a scatter is not above 0.
+    Raises DataError: a width or a scatter is not above 0.
     """
     if not (std > 0.0 and half_width > 0.0):
         raise DataError("scatter and wished half width must be above 0")

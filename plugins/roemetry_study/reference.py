@@ -10,7 +10,6 @@ for Cgk (Bissell 1990).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +47,6 @@ class Bias:
 class Linearity:
     """Bias over the range of references: bias = intercept + slope · reference."""
 
-    biases: tuple[Bias, ...]
     slope: float
     slope_interval: tuple[float, float]
     intercept: float
@@ -77,63 +75,53 @@ class TypeOne:
 
 def biases(table: StudyTable) -> tuple[Bias, ...]:
     """Give the bias at each part that has a reference, by the reference's size."""
-    values, references = table.numbers(), table.references()
-    by_part: dict[str, list[float]] = {}
-    for reading, value in zip(table.readings, values.tolist(), strict=True):
-        by_part.setdefault(reading.part, []).append(value)
-    found = [_bias(part, references[part], np.array(by_part[part])) for part in references]
+    by_part: dict[tuple[str, float], list[float]] = {}
+    for part, reference, value in _known(table):
+        by_part.setdefault((part, reference), []).append(value)
+    found = [_bias(part, reference, np.array(values)) for (part, reference), values in by_part.items()]
     return tuple(sorted(found, key=lambda one: one.reference))
+
+
+def _known(table: StudyTable) -> list[tuple[str, float, float]]:
+    """Give part, reference and value of each reading of a part that has a reference."""
+    references = table.references()
+    return [
+        (reading.part, references[reading.part], value)
+        for reading, value in zip(table.readings, table.numbers().tolist(), strict=True)
+        if reading.part in references
+    ]
 
 
 def linearity(table: StudyTable) -> Linearity | None:
     """Fit the bias over the reference; None where fewer than three parts have a reference."""
-    references: Mapping[str, float] = table.references()
-    if len(set(references.values())) < 3:
+    if len(set(table.references().values())) < 3:
         return None
-    from scipy.stats import t
+    from scipy.stats import linregress, t
 
-    pairs = [
-        (references[reading.part], value)
-        for reading, value in zip(table.readings, table.numbers().tolist(), strict=True)
-        if reading.part in references
-    ]
-    x, y = np.array(pairs).T
-    off, n = y - x, x.size
-    middle, spread = x.mean(), float(((x - x.mean()) ** 2).sum())
-    slope = float(((x - middle) * off).sum()) / spread
-    intercept = float(off.mean() - slope * middle)
-    rest = off - intercept - slope * x
-    s = math.sqrt(float((rest**2).sum()) / (n - 2))
-    factor = float(t.ppf(0.5 + 0.5 * PROBABILITY, n - 2))
-    half = factor * s / math.sqrt(spread)
+    x, y = np.array([(reference, value) for _, reference, value in _known(table)]).T
+    fit = linregress(x, y - x)
+    factor = float(t.ppf(0.5 + 0.5 * PROBABILITY, x.size - 2))
+    half = factor * fit.stderr
     ends = np.linspace(x.min(), x.max(), 21)
-    line = intercept + slope * ends
-    band = factor * s * np.sqrt(1.0 / n + (ends - middle) ** 2 / spread)
+    line = fit.intercept + fit.slope * ends
+    # the line's standard deviation: of its mean, and of its slope about the middle
+    band = factor * fit.stderr * np.sqrt(x.var() + (ends - x.mean()) ** 2)
     return Linearity(
-        biases(table),
-        slope,
-        (slope - half, slope + half),
-        intercept,
+        float(fit.slope),
+        (float(fit.slope - half), float(fit.slope + half)),
+        float(fit.intercept),
         float(np.abs(line).max()),
         bool((np.abs(line) > band).any()),
     )
 
 
 def type_one(table: StudyTable, tolerance: float) -> TypeOne:
-    """Judge repeated readings of one known part.
+    """Judge repeated readings of one known part against a tolerance's width, in the unit of the value.
 
-    Parameters
-    ----------
-    table
-        One part, with a reference.
-    tolerance
-        Width of the tolerance, in the unit of the value.
-
-    Raises
-    ------
-    DataError
-        More than one part, no reference, too few readings, or no variation.
+    Raises DataError: more than one part, no reference, too few readings, or no variation.
     """
+    from scipy.stats import chi2, norm
+
     references = table.references()
     if len(table.parts) != 1 or not references:
         raise DataError(f"{table.source}: a type-1 study is of one part with a `reference`")
@@ -153,8 +141,6 @@ def type_one(table: StudyTable, tolerance: float) -> TypeOne:
             f"{table.source}: all {n} readings are {values[0]:g}: the resolution hides the scatter",
             hint="give more digits; or are the images copies of one file?",
         )
-    from scipy.stats import chi2, norm
-
     bias = _bias(part, references[part], values)
     cg, cgk = 0.2 * tolerance / (6.0 * s), (0.1 * tolerance - abs(bias.bias)) / (3.0 * s)
     low, high = (math.sqrt(chi2.ppf(q, n - 1) / (n - 1)) for q in (0.025, 0.975))
@@ -165,18 +151,9 @@ def type_one(table: StudyTable, tolerance: float) -> TypeOne:
         words.append(f"bias {bias.bias:+.4g} is significant (95 %: {bias.low:+.4g} to {bias.high:+.4g})")
     if n < READINGS_WANTED:
         words.append(f"{n} of {READINGS_WANTED} recommended readings")
+    intervals = (cg * low, cg * high), (cgk - half, cgk + half)
     return TypeOne(
-        part,
-        references[part],
-        n,
-        s,
-        bias,
-        cg,
-        (cg * low, cg * high),
-        cgk,
-        (cgk - half, cgk + half),
-        verdict,
-        tuple(words),
+        part, references[part], n, s, bias, cg, intervals[0], cgk, intervals[1], verdict, tuple(words)
     )
 
 
@@ -193,34 +170,29 @@ CATCHWEIGHER_LIMITS = (
 )
 """Up to each load, g: largest standard deviation of the errors of class X(1), as a share of the load and in g
 (OIML R 51, MID annex MI-006; from memory of the text)."""
-_CLASS_MAX = 2.0  # the widest class that is told apart
 
 
 def catchweigher_words(table: StudyTable) -> str:
     """Hold the errors of weights against the classes of catchweighers, as a yardstick; no legal verification.
 
-    Raises
-    ------
-    DataError
-        No part has a reference.
+    Raises DataError: no part has a reference.
     """
-    references = table.references()
-    pairs = [
-        (references[reading.part], value - references[reading.part])
-        for reading, value in zip(table.readings, table.numbers().tolist(), strict=True)
-        if reading.part in references
-    ]
+    pairs = [(reference, value - reference) for _, reference, value in _known(table)]
     if len(pairs) < READINGS_MIN:
         raise DataError(f"{table.source}: {len(pairs)} readings with a reference, expected {READINGS_MIN}")
     load, error = np.array(pairs).T
     limits = np.array([next(max(s * m, g) for most, s, g in CATCHWEIGHER_LIMITS if m <= most) for m in load])
     times = float((error / limits).std(ddof=1))
-    needed = next((k for k in (0.1, 0.2, 0.5, 1.0, 2.0) if times <= k), math.inf)
-    found = f"class X({needed:g})" if needed <= _CLASS_MAX else f"no class: X({_CLASS_MAX:g}) is the widest"
+    needed = next((k for k in _CLASSES if times <= k), None)
+    found = f"no class: X({_CLASSES[-1]:g}) is the widest" if needed is None else f"class X({needed:g})"
     return (
         f"as a yardstick only, no legal verification: errors' standard deviation is {times:.2f} times the "
         f"limit of catchweigher class X(1) (OIML R 51): {found}"
     )
+
+
+_CLASSES = (0.1, 0.2, 0.5, 1.0, 2.0)
+"""Of catchweighers that are told apart, by the factor on the limits of X(1)."""
 
 
 def _bias(part: str, reference: float, values: Floats) -> Bias:

@@ -2,39 +2,41 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from roemetry.calibrating.known_products import read_table as read_csv
 from roemetry.errors import ConfigurationError, DataError
 from roemetry.html.plots import in_words
+from roemetry.io.files import sha256_of
 from roemetry.run.control_chart import BASELINE, limits_of, signals
 from roemetry.run.executors import Executor, Lost
 from roemetry.run.record import PROVENANCE, read_record
-from roemetry_study.certificate import Certificate, Table, hashed
+from roemetry_study.certificate import Certificate, Table
 from roemetry_study.table import StudyTable, estimate_of
 
 if TYPE_CHECKING:
     from roemetry.config.recipe import Recipe
     from roemetry_study.acceptance import Artefact, Value
+    from roemetry_study.study_files import AcceptanceFile
 
 _AIAG = "AIAG Measurement Systems Analysis, 4th edition, as published worked examples confirm it"
 
 
 def of_numbers(table: StudyTable, *, tolerance: float, nested: bool, method: str, by: str) -> Certificate:
     """Make all that readings that are numbers allow: a gauge study or a type-1 study, bias, stability."""
+    from roemetry_study.gauge import gauge_study
+    from roemetry_study.reference import catchweigher_words, type_one
+
     statements: list[str] = []
     tables: list[Table] = []
     references = table.references()
-    verdict = "no decision"
-    title = "gauge study"
     if len(table.parts) == 1 and references and math.isfinite(tolerance):
-        from roemetry_study.reference import type_one
-
         found = type_one(table, tolerance)
         verdict, title = found.verdict, "type-1 gauge study"
         statements += found.words
@@ -49,31 +51,21 @@ def of_numbers(table: StudyTable, *, tolerance: float, nested: bool, method: str
             Table(f"Part {found.part}, {found.readings} readings", ("", table.value, "95 % from", "to"), rows)
         )
     else:
-        from roemetry_study.gauge import gauge_study
-
         study = gauge_study(table, tolerance=tolerance, nested=nested, method=method)
-        verdict = study.verdict
+        verdict, title = study.verdict, "gauge study"
         statements += study.words
         if study.missing:
             statements.append(f"{study.missing} readings are missing; the analysis allows for them")
         head = ("source", "standard deviation", "95 % from", "to", "% of total", "6 s, % of tolerance")
-        lines = tuple(
-            (o.name.replace("operator", by), o.std, o.low, o.high, o.percent, o.of_tolerance_percent)
-            for o in study.lines
-        )
+        lines = tuple((line.name.replace("operator", by), *line[1:]) for line in study.lines)
         tables.append(Table(f"Variation of {table.value}", head, lines))
         if study.effects:
+            head = ("effect", "sum of squares", "d.f.", "mean square", "F", "p")
             effects = tuple(
                 (e.name.replace("operator", by), e.squares, e.freedom, e.mean_square, e.f, e.p)
                 for e in study.effects
             )
-            tables.append(
-                Table(
-                    "Analysis of variance",
-                    ("effect", "sum of squares", "d.f.", "mean square", "F", "p"),
-                    effects,
-                )
-            )
+            tables.append(Table("Analysis of variance", head, effects))
         low, high = study.categories_interval
         statements.append(
             f"number of distinct categories: {study.categories}"
@@ -84,8 +76,6 @@ def of_numbers(table: StudyTable, *, tolerance: float, nested: bool, method: str
         statements += words
         tables.append(made)
         if table.value == "mass_g":
-            from roemetry_study.reference import catchweigher_words
-
             statements.append(catchweigher_words(table))
     if any(reading.moment for reading in table.readings):
         words, made = _stability(table)
@@ -108,31 +98,21 @@ def of_numbers(table: StudyTable, *, tolerance: float, nested: bool, method: str
 
 def of_classes(table: StudyTable, good: str) -> Certificate:
     """Make a study of agreement."""
-    from roemetry_study.agreement import agreement
+    from roemetry_study.agreement import Figure, agreement
+
+    def percent(figure: Figure) -> tuple[float, float, float]:
+        return 100.0 * figure.value, 100.0 * figure.low, 100.0 * figure.high
 
     found = agreement(table, good)
-    rows = tuple(
-        (
-            one.name,
-            100.0 * one.repeats.value,
-            100.0 * one.right.value,
-            one.kappa.value,
-            one.kappa.low,
-            one.kappa.high,
-            100.0 * one.missed.value,
-            100.0 * one.missed.low,
-            100.0 * one.missed.high,
-            100.0 * one.false_alarm.value,
-            100.0 * one.false_alarm.low,
-            100.0 * one.false_alarm.high,
-            100.0 * one.bias,
-        )
-        for one in found.operators
-    )
+    rows = []
+    for one in found.operators:
+        kappa = one.kappa.value, one.kappa.low, one.kappa.high
+        shares = *percent(one.missed), *percent(one.false_alarm), 100.0 * one.bias
+        rows.append((one.name, percent(one.repeats)[0], percent(one.right)[0], *kappa, *shares))
     head: tuple[str, ...] = ("by", "repeats, %", "right, %", "kappa", "from", "to", "missed, %", "from", "to")
     head += ("false alarms, %", "from", "to", "passed too many, %")
     pairs = tuple((f"{a} and {b}", one.value, one.low, one.high) for a, b, one in found.pairs)
-    tables = [Table("Against itself and the reference", head, rows)]
+    tables = [Table("Against itself and the reference", head, tuple(rows))]
     if pairs:
         tables.append(Table("Between operators, kappa", ("pair", "kappa", "95 % from", "to"), pairs))
     return Certificate(
@@ -146,34 +126,26 @@ def of_classes(table: StudyTable, good: str) -> Certificate:
     )
 
 
-class _Measures:
-    """Measures artefacts by a recipe, an image at a time."""
+def _measured(recipe: Recipe, task: tuple[Path, Artefact]) -> list[Value]:
+    """Measure an artefact in one image by a recipe."""
+    from roemetry.calibrating.block_check import profiles_of
+    from roemetry_study.acceptance import measure
 
-    def __init__(self, recipe: Recipe) -> None:
-        self._recipe = recipe
-
-    def __call__(self, task: tuple[Path, Artefact]) -> list[Value]:
-        from roemetry.calibrating.block_check import profiles_of
-        from roemetry_study.acceptance import measure
-
-        image, artefact = task
-        profiles, light = profiles_of(self._recipe, image)
-        view = None if self._recipe.calibration is None else self._recipe.calibration.view
-        return list(measure(profiles, artefact, view, light))
+    image, artefact = task
+    profiles, light = profiles_of(recipe, image)
+    view = None if recipe.calibration is None else recipe.calibration.view
+    return list(measure(profiles, artefact, view, light))
 
 
-def of_acceptance(file: object, path: Path, executor: Executor) -> Certificate:
+def of_acceptance(file: AcceptanceFile, path: Path, executor: Executor) -> Certificate:
     """Measure every artefact with the line's recipe, and decide."""
     from roemetry.config.recipe import Recipe
     from roemetry_study.acceptance import CHARACTERISTICS, decide, overall
-    from roemetry_study.study_files import AcceptanceFile, artefact_of
+    from roemetry_study.study_files import artefact_of
 
-    assert isinstance(file, AcceptanceFile)
     recipe = Recipe.load(path.parent / file.recipe)
     if recipe.calibration is None:
         raise DataError(f"{recipe.path}: there is no calibration to test")
-    values: list[Value] = []
-    rows: list[tuple[str | float, ...]] = []
     tasks: list[tuple[Path, Artefact]] = []
     items = {"instrument": file.name, "recipe": f"{recipe.path.name}, {recipe.sha256}"}
     items["calibration"] = recipe.calibration.sha256
@@ -184,12 +156,15 @@ def of_acceptance(file: object, path: Path, executor: Executor) -> Certificate:
             raise ConfigurationError(f"{path}: artefacts: {part.images} names no image in {path.parent}")
         items[f"artefact {artefact.target.name}"] = part.certificate or "no certificate of its own"
         seen: dict[str, Path] = {}
-        for image, digest in zip(images, hashed(images).values(), strict=True):
+        for image in images:
+            digest = sha256_of(image)
             if seen.setdefault(digest, image) != image:
                 raise DataError(f"{image}: is a copy of {seen[digest].name}: a copy is no repetition")
             tasks.append((image, artefact))
             items[f"image {image.name}"] = digest
-    for (image, _), found in zip(tasks, executor.in_order(_Measures, (recipe,), tasks), strict=True):
+    values: list[Value] = []
+    rows: list[tuple[str | float, ...]] = []
+    for (image, _), found in zip(tasks, executor.in_order(partial, (_measured, recipe), tasks), strict=True):
         if isinstance(found, Lost):
             raise DataError(f"{image}: {found.why}")
         values += found
@@ -200,19 +175,12 @@ def of_acceptance(file: object, path: Path, executor: Executor) -> Certificate:
         ]  # fmt: skip
     limits = {name: limit for name, limit in file.limits_mm.model_dump().items() if limit is not None}
     outcomes = decide(values, limits)
-    head = (
-        "image",
-        "characteristic",
-        "of",
-        "measured, mm",
-        "calibrated, mm",
-        "error, mm",
-        "u of calibrated, mm",
-    )
     judged = tuple(
         (CHARACTERISTICS[o.characteristic], o.decision, o.worst.error_mm, o.limit_mm, o.count)
         for o in outcomes
     )
+    decisions = ("characteristic", "decision", "largest error, mm", "limit, mm", "values")
+    head = ("image", "characteristic", "of", "measured, mm", "calibrated, mm", "error, mm")
     return Certificate(
         kind="acceptance test",
         verdict=overall(outcomes),
@@ -225,12 +193,8 @@ def of_acceptance(file: object, path: Path, executor: Executor) -> Certificate:
         ),
         items=items,
         tables=(
-            Table(
-                "Decisions",
-                ("characteristic", "decision", "largest error, mm", "limit, mm", "values"),
-                judged,
-            ),
-            Table("Every value", head, tuple(rows)),
+            Table("Decisions", decisions, judged),
+            Table("Every value", (*head, "u of calibrated, mm"), tuple(rows)),
         ),
         decision_rule="accepted where the largest error lies within the limit less 1.645 standard "
         "uncertainties of the calibrated value, rejected beyond the limit plus as much, else "
@@ -253,9 +217,8 @@ def of_calibration(path: Path, environment: str) -> Certificate:
     for height, std in zip(found.height_mm, np.moveaxis(found.std_mm, 1, 0), strict=True):
         known = std[np.isfinite(std)]
         if known.size:
-            rows.append(
-                (float(height), float(np.median(known)), float(known.max()), 2.0 * float(known.max()))
-            )
+            worst = float(known.max())
+            rows.append((float(height), float(np.median(known)), worst, 2.0 * worst))
     residuals = tuple((in_words(name), float(value)) for name, value in calibration.residuals.items())
     low, high = calibration.height_range_mm
     worst = max((row[2] for row in rows), default=math.nan)
@@ -288,9 +251,7 @@ def of_calibration(path: Path, environment: str) -> Certificate:
 
 def of_run(folder: Path, value: str, references: Path | None) -> tuple[list[str], bool]:
     """Give a run's uncertainty by cause, its comparison with references, and whether it is confirmed."""
-    from scipy.stats import binom
-
-    from roemetry_study.uncertainty import causes, compare, comparison_words
+    from roemetry_study.uncertainty import causes, compare, comparison_words, more_outside_than_chance
 
     rows = list(read_record(folder))
     std, found = causes(rows, value)
@@ -312,9 +273,7 @@ def of_run(folder: Path, value: str, references: Path | None) -> tuple[list[str]
             f"{pair.id:16} {pair.value:10.4g} {pair.std:7.2g} {pair.reference:10.4g} "
             f"{pair.reference_std:7.2g} {pair.en:+6.2f} {pair.zeta:+6.2f}"
         )
-    lines += comparison_words(pairs)
-    outside = sum(abs(pair.en) > 1.0 for pair in pairs)
-    return lines, not (outside and float(binom.sf(outside - 1, len(pairs), 0.05)) < 0.01)
+    return lines + list(comparison_words(pairs)), not more_outside_than_chance(pairs)
 
 
 def of_model(path: Path) -> list[str]:
@@ -387,15 +346,15 @@ def of_plan(
             f"{size.parts:5}  {size.operators:9}  {size.trials:6}  {size.readings:8}  {size.percent:5.1f}  "
             f"{size.half_width_percent:.1f}"
         )
-        if half_width is not None and size.half_width_percent <= half_width and enough is None:
-            enough = size
-    if half_width is not None:
+        if half_width is not None and size.half_width_percent <= half_width:
+            enough = enough or size
+    if enough is not None:
         yield (
-            f"none of these is enough for ± {half_width:g} %: more operators or heads help most"
-            if enough is None
-            else f"{enough.parts} parts, {enough.operators} operators, {enough.trials} trials are enough for "
+            f"{enough.parts} parts, {enough.operators} operators, {enough.trials} trials are enough for "
             f"± {half_width:g} %"
         )
+    elif half_width is not None:
+        yield f"none of these is enough for ± {half_width:g} %: more operators or heads help most"
 
 
 def _bias(table: StudyTable) -> tuple[list[str], Table]:
@@ -429,15 +388,13 @@ def _stability(table: StudyTable) -> tuple[list[str], Table]:
             )
             continue
         broken = signals(values, limits)
-        first = broken[0] if broken else None
-        rows.append(
-            (part, len(values), limits.centre, limits.std, len(broken), "" if first is None else first.rule)
-        )
-        words.append(
-            f"part {part}: stable"
-            if first is None
-            else f"part {part}: not stable: from {mine[first.at].moment} on: {first.words} ({first.rule})"
-        )
+        rule, said = "", "stable"
+        if broken:
+            first = broken[0]
+            rule = first.rule
+            said = f"not stable: from {mine[first.at].moment} on: {first.words} ({rule})"
+        rows.append((part, len(values), limits.centre, limits.std, len(broken), rule))
+        words.append(f"part {part}: {said}")
     head = ("part", "readings", "centre", "standard deviation", "signals", "first rule broken")
     return words, Table("Stability", head, tuple(rows))
 
@@ -453,18 +410,14 @@ def _items(table: StudyTable, by: str) -> dict[str, str]:
         path = Path(source)
         kept = path / PROVENANCE if path.is_dir() else path
         if kept.is_file():
-            items[f"file {source}"] = hashed([kept])[kept.name]
+            items[f"file {source}"] = sha256_of(kept)
     return items
 
 
 def _references(path: Path) -> dict[str, tuple[float, float]]:
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.DictReader(file))
-            return {row["id"]: (float(row["value"]), float(row["std"])) for row in rows}
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (KeyError, ValueError, TypeError, csv.Error) as error:
+        return {row["id"]: (float(row["value"]), float(row["std"])) for _, row in read_csv(path)[1]}
+    except (KeyError, ValueError, TypeError) as error:
         raise DataError(
             f"{path}: expected a table of id, value and std, numbers in every line: {error}"
         ) from error

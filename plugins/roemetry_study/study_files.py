@@ -6,7 +6,7 @@ import ast
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -24,7 +24,6 @@ from roemetry.config.target_file import (
 from roemetry.config.validation import checked
 from roemetry.errors import ConfigurationError
 from roemetry.io.yaml_source import read
-from roemetry.records import Block, SpherePlate, Staircase
 from roemetry.records.arrays import Floats
 from roemetry_study.acceptance import Artefact
 from roemetry_study.uncertainty import Input
@@ -86,13 +85,7 @@ class InputFile(Section):
 
     def made(self) -> Input:
         """Give the input."""
-        return Input(
-            self.value,
-            math.nan if self.std is None else self.std,
-            self.shape,
-            math.nan if self.half is None else self.half,
-            math.inf if self.freedom is None else self.freedom,
-        )
+        return Input(**self.model_dump(exclude_none=True))
 
 
 class ModelFile(Section):
@@ -121,52 +114,32 @@ def read_model(path: Path) -> tuple[ModelFile, Callable[..., Floats]]:
 def artefact_of(path: Path, std_mm: float) -> Artefact:
     """Read an artefact's description; ConfigurationError where it is at fault or of a kind without a test."""
     described = read_target(path)
-    target: SpherePlate | Block | Staircase | None = None
-    if isinstance(described, SpherePlateFile):
-        target = read_sphere_plate(described, path.parent)
-    elif isinstance(described, BlockFile):
-        target = read_block(described, path.parent)
-    elif isinstance(described, StaircaseFile):
-        target = read_staircase(described, path.parent)
-    if target is None:
+    readers: dict[type, Callable[..., Any]] = {
+        SpherePlateFile: read_sphere_plate,
+        BlockFile: read_block,
+        StaircaseFile: read_staircase,
+    }
+    if type(described) not in readers:
         raise ConfigurationError(
             f"{path}: kind: found {described.kind!r}, expected one of sphere-plate, block, staircase"
         )
-    return Artefact(target, std_mm)
+    return Artefact(readers[type(described)](described, path.parent), std_mm)
 
 
 _FUNCTIONS: dict[str, Callable[..., Floats]] = {
-    "sqrt": np.sqrt,
-    "exp": np.exp,
-    "log": np.log,
-    "sin": np.sin,
-    "cos": np.cos,
+    name: getattr(np, name) for name in ("sqrt", "exp", "log", "sin", "cos")
 }
 _ALLOWED = (
-    ast.Expression,
-    ast.BinOp,
-    ast.UnaryOp,
-    ast.Constant,
-    ast.Name,
-    ast.Load,
-    ast.Call,
-    ast.Add,
-    ast.Sub,
-    ast.Mult,
-    ast.Div,
-    ast.Pow,
-    ast.USub,
-    ast.UAdd,
-)
+    ast.Expression, ast.BinOp, ast.UnaryOp, ast.Constant, ast.Name, ast.Load, ast.Call, ast.Add, ast.Sub,
+    ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd,
+)  # fmt: skip
 
 
 def formula(text: str, names: set[str], place: str) -> Callable[..., Floats]:
     """Make a function of arrays by name of a formula; nothing but arithmetic and five functions passes.
 
-    Raises
-    ------
-    ConfigurationError
-        It does not parse, names something unknown, leaves an input out, or holds anything else.
+    Raises ConfigurationError: it does not parse, names something unknown, leaves an input out, or holds
+    anything else.
     """
     try:
         tree = ast.parse(text.replace("−", "-"), mode="eval")

@@ -127,20 +127,19 @@ def read_table(
     runs = [source for source in sources if source.is_dir()]
     if runs and len(runs) < len(sources):
         raise ConfigurationError("tables and runs together", hint="name one table, or runs with --layout")
-    if runs:
-        if layout is None:
-            raise ConfigurationError(
-                f"{runs[0]} is a run: which part, operator and trial each row is, is not said",
-                hint="name a table of id, part, operator and trial with --layout",
-            )
+    if runs and layout is None:
+        raise ConfigurationError(
+            f"{runs[0]} is a run: which part, operator and trial each row is, is not said",
+            hint="name a table of id, part, operator and trial with --layout",
+        )
+    if not runs and len(sources) != 1:
+        raise ConfigurationError(f"{len(sources)} tables were named, expected one")
+    if layout is not None and runs:
         found = list(_of_runs(runs, value, layout, operator))
     else:
-        if len(sources) != 1:
-            raise ConfigurationError(f"{len(sources)} tables were named, expected one")
         found = list(_of_table(sources[0], value, operator))
-    table = StudyTable(
-        tuple(reading for reading, _ in found), value, ", ".join(str(source) for source in sources)
-    )
+    readings = tuple(reading for reading, _ in found)
+    table = StudyTable(readings, value, ", ".join(str(source) for source in sources))
     if not found:
         raise DataError(
             f"{table.source}: no reading of `{value}`", hint="does the layout name this run's ids?"
@@ -151,25 +150,19 @@ def read_table(
     return table
 
 
+def _reading(row: Mapping[str, str], operator: str, value: str, place: str, std: float = math.nan) -> Reading:
+    """Make a reading of a table's line, its value and uncertainty maybe from elsewhere."""
+    if row.get("std") and math.isnan(std):
+        std = StudyTable._finite(row["std"], place, "std")
+    part, who, trial = row["part"], row.get(operator, "") or "–", row.get("trial", "")
+    return Reading(part, who, trial, value, place, row.get("reference", ""), std, row.get("time", ""))
+
+
 def _of_table(path: Path, value: str, operator: str) -> Iterator[tuple[Reading, str]]:
     """Give the readings of a CSV file, each with its image's hash ("" where not said)."""
     for place, row in _rows(path, ("part", value)):
-        if row[value] in ("", "NaN", "nan"):
-            continue  # a reading that was planned and is missing
-        std = row.get("std", "")
-        yield (
-            Reading(
-                part=row["part"],
-                operator=row.get(operator, "") or "–",
-                trial=row.get("trial", ""),
-                value=row[value],
-                place=place,
-                reference=row.get("reference", ""),
-                std=StudyTable._finite(std, place, "std") if std else math.nan,
-                moment=row.get("time", ""),
-            ),
-            row.get("image_sha256", ""),
-        )
+        if row[value] not in ("", "NaN", "nan"):  # else a reading that was planned and is missing
+            yield _reading(row, operator, row[value], place), row.get("image_sha256", "")
 
 
 def _of_runs(runs: Sequence[Path], value: str, layout: Path, operator: str) -> Iterator[tuple[Reading, str]]:
@@ -189,21 +182,10 @@ def _of_runs(runs: Sequence[Path], value: str, layout: Path, operator: str) -> I
             )
         row, run = found
         text, std = recorded(row, value)
-        if not text:
-            continue  # it was refused or is absent: a gap, which the analysis allows for
-        yield (
-            Reading(
-                part=line["part"],
-                operator=line.get(operator, "") or "–",
-                trial=line.get("trial", ""),
-                value=text,
-                place=f"{run / RECORD}: {row.id}",
-                reference=line.get("reference", ""),
-                std=std,
-                moment=line.get("time", ""),
-            ),
-            row.provenance.get("laser_sha256", ""),
-        )
+        if text:  # else it was refused or is absent: a gap, which the analysis allows for
+            of_run = {key: cell for key, cell in line.items() if key != "std"}
+            reading = _reading(of_run, operator, text, f"{run / RECORD}: {row.id}", std)
+            yield reading, row.provenance.get("laser_sha256", "")
 
 
 def recorded(row: Measurement, value: str) -> tuple[str, float]:
@@ -225,15 +207,16 @@ def estimate_of(row: Measurement, value: str) -> tuple[Estimate | None, float]:
 
     DataError where the rows of a run hold no such value with an uncertainty.
     """
-    if value in ("visible_cm3", "true_cm3"):
-        if row.volume is None:
-            return None, 1e-3
-        return (row.volume.visible_mm3 if value == "visible_cm3" else row.volume.true_mm3), 1e-3
-    if value == "mass_g":
-        return (None if row.weight is None else row.weight.mass_g), 1.0
-    if value == "height_max_mm":
-        return row.height_max_mm, 1.0
-    raise DataError(f"`{value}`: expected one of {', '.join(RECORDED[:-1])}")
+    volume, weight = row.volume, row.weight
+    estimates = {
+        "visible_cm3": (None if volume is None else volume.visible_mm3, 1e-3),
+        "true_cm3": (None if volume is None else volume.true_mm3, 1e-3),
+        "mass_g": (None if weight is None else weight.mass_g, 1.0),
+        "height_max_mm": (row.height_max_mm, 1.0),
+    }
+    if value not in estimates:
+        raise DataError(f"`{value}`: expected one of {', '.join(estimates)}")
+    return estimates[value]
 
 
 def _rows(path: Path, needed: Sequence[str]) -> Iterator[tuple[str, dict[str, str]]]:

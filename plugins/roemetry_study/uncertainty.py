@@ -81,7 +81,7 @@ class Evaluation:
     freedom: float
     """Effective degrees of freedom."""
     parts: Mapping[str, float]
-    """What each input adds to the standard uncertainty, |∂f/∂x| u."""
+    """What each input adds to the standard uncertainty of `gum`, |∂f/∂x| u."""
     monte_carlo: Result
     """Interval: the shortest."""
     validated: bool
@@ -91,29 +91,19 @@ class Evaluation:
 def evaluate(
     model: Callable[..., Floats], inputs: Mapping[str, Input], seed: int, draws: int = DRAWS
 ) -> Evaluation:
-    """Evaluate a measurement model.
+    """Evaluate a measurement model of independent inputs, by so many draws of a Monte Carlo method as well.
 
-    Parameters
-    ----------
-    model
-        Of keyword arguments by the inputs' names, each (draw,); gives (draw,).
-    inputs
-        Independent of each other.
-    seed, draws
-        Of the Monte Carlo method.
+    The model takes keyword arguments by the inputs' names, each (draw,), and gives (draw,).
     """
     from scipy.stats import t
 
-    value = float(model(**{name: np.array([one.value]) for name, one in inputs.items()})[0])
-    parts = {}
-    for name in inputs:
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = {
-                k: np.array([v.value + (sign * v.standard if k == name else 0.0)]) for k, v in inputs.items()
-            }
-            ends.append(float(model(**moved)[0]))
-        parts[name] = 0.5 * abs(ends[0] - ends[1])
+    def at(moved: str = "", stds: float = 0.0) -> float:
+        """The model's value, one input moved by so many standard uncertainties."""
+        values = {k: v.value + (stds * v.standard if k == moved else 0.0) for k, v in inputs.items()}
+        return float(model(**{name: np.array([value]) for name, value in values.items()})[0])
+
+    value = at()
+    parts = {name: 0.5 * abs(at(name, 1.0) - at(name, -1.0)) for name in inputs}
     std = math.sqrt(sum(part**2 for part in parts.values()))
     below = sum(part**4 / inputs[name].freedom for name, part in parts.items())
     freedom = std**4 / below if below > 0.0 else math.inf
@@ -152,10 +142,7 @@ class Cause(NamedTuple):
 def causes(rows: Sequence[Measurement], value: str) -> tuple[float, tuple[Cause, ...]]:
     """Give the standard uncertainty of a run's value, root mean square, and its causes, the largest first.
 
-    Raises
-    ------
-    DataError
-        No row states an uncertainty with its parts.
+    Raises DataError: no row states an uncertainty with its parts.
     """
     budgets = [
         (estimate.std * scale, {name: part * scale for name, part in estimate.budget.items()})
@@ -164,15 +151,11 @@ def causes(rows: Sequence[Measurement], value: str) -> tuple[float, tuple[Cause,
         if estimate is not None and estimate.budget and math.isfinite(estimate.std)
     ]
     if not budgets:
-        raise DataError(
-            f"no row states the parts of `{value}`'s uncertainty",
-            hint="run with `uncertainty: linear` in the recipe",
-        )
-    names = list(dict.fromkeys(name for _, parts in budgets for name in parts))
+        raise DataError(f"no row states the parts of `{value}`'s uncertainty", hint=_RUN_HINT)
     whole = float(np.mean([std**2 for std, _ in budgets]))
     variances = {
         name: float(np.mean([np.nan_to_num(parts.get(name, 0.0)) ** 2 for _, parts in budgets]))
-        for name in names
+        for name in dict.fromkeys(name for _, parts in budgets for name in parts)
     }
     found, larger = [], 0.0
     for name, variance in sorted(variances.items(), key=lambda item: -item[1]):
@@ -181,6 +164,9 @@ def causes(rows: Sequence[Measurement], value: str) -> tuple[float, tuple[Cause,
         remains = 100.0 * math.sqrt(rest / larger) if rest > 0.0 and larger > 0.0 else math.nan
         found.append(Cause(name, math.sqrt(variance), 100.0 * variance / whole, remains))
     return math.sqrt(whole), tuple(found)
+
+
+_RUN_HINT = "run with `uncertainty: linear` in the recipe"
 
 
 class Comparison(NamedTuple):
@@ -200,19 +186,9 @@ def compare(
 ) -> tuple[Comparison, ...]:
     """Compare a run with reference values of one's own: a scale's, water displacement's.
 
-    Parameters
-    ----------
-    rows
-        Of a run.
-    value
-        ``visible_cm3``, ``true_cm3``, ``mass_g`` or ``height_max_mm``.
-    references
-        By id: value and standard uncertainty, in the same unit.
+    `references` are by id, with their standard uncertainties, in the unit of `value`.
 
-    Raises
-    ------
-    DataError
-        No product is in both, or the run states no uncertainty.
+    Raises DataError: no product is in both, or the run states no uncertainty.
     """
     found = []
     for row in rows:
@@ -222,23 +198,15 @@ def compare(
         if not math.isfinite(estimate.std):
             raise DataError(
                 f"{row.id}: its `{value}` states no uncertainty: a comparison would judge nothing",
-                hint="run with `uncertainty: linear` in the recipe",
+                hint=_RUN_HINT,
             )
         reference, reference_std = references[row.id]
-        off, u = scale * estimate.value - reference, math.hypot(scale * estimate.std, reference_std)
+        own, std = scale * estimate.value, scale * estimate.std
         low, high = estimate.interval
-        expanded = 0.5 * scale * (high - low) if math.isfinite(high - low) else 2.0 * scale * estimate.std
-        found.append(
-            Comparison(
-                row.id,
-                scale * estimate.value,
-                scale * estimate.std,
-                reference,
-                reference_std,
-                off / math.hypot(expanded, 2.0 * reference_std),
-                off / u,
-            )
-        )
+        expanded = 0.5 * scale * (high - low) if math.isfinite(high - low) else 2.0 * std
+        en = (own - reference) / math.hypot(expanded, 2.0 * reference_std)
+        zeta = (own - reference) / math.hypot(std, reference_std)
+        found.append(Comparison(row.id, own, std, reference, reference_std, en, zeta))
     if not found:
         raise DataError(
             "no product has both a value and a reference", hint="do the ids of run and table agree?"
@@ -246,21 +214,29 @@ def compare(
     return tuple(found)
 
 
+def more_outside_than_chance(found: Sequence[Comparison]) -> bool:
+    """Say whether more products have |Eₙ| > 1 than the coverage probability explains, at 1 %."""
+    from scipy.stats import binom
+
+    outside = sum(abs(one.en) > 1.0 for one in found)
+    return outside > 0 and float(binom.sf(outside - 1, len(found), 1.0 - COVERAGE)) < 0.01
+
+
 def comparison_words(found: Sequence[Comparison]) -> tuple[str, ...]:
     """Say whether the stated uncertainties are confirmed: the share within, and the spread of the scores."""
-    from scipy.stats import binom, chi2
+    from scipy.stats import chi2
 
     n = len(found)
-    outside = sum(abs(one.en) > 1.0 for one in found)
-    zeta = np.array([one.zeta for one in found])
-    ratio = math.sqrt(float((zeta**2).mean()))
-    words = [
-        f"{n - outside} of {n} within |Eₙ| ≤ 1; errors are {ratio:.2f} times what is stated, root mean square"
-    ]
-    if float(binom.sf(outside - 1, n, 1.0 - COVERAGE)) < 0.01 and outside:
-        words.append("more lie outside than chance explains: the stated uncertainty is not confirmed")
-    elif n >= 10 and float(chi2.sf((zeta**2).sum(), n)) > 0.99:
-        words.append("errors are surely smaller than stated: the stated uncertainty is wider than need be")
+    within = sum(abs(one.en) <= 1.0 for one in found)
+    squares = float(np.square([one.zeta for one in found]).sum())
+    if more_outside_than_chance(found):
+        judged = "more lie outside than chance explains: the stated uncertainty is not confirmed"
+    elif n >= 10 and float(chi2.sf(squares, n)) > 0.99:
+        judged = "errors are surely smaller than stated: the stated uncertainty is wider than need be"
     else:
-        words.append("the stated uncertainty is confirmed as far as so many can")
-    return tuple(words)
+        judged = "the stated uncertainty is confirmed as far as so many can"
+    ratio = math.sqrt(squares / n)
+    return (
+        f"{within} of {n} within |Eₙ| ≤ 1; errors are {ratio:.2f} times what is stated, root mean square",
+        judged,
+    )

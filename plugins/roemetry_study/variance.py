@@ -42,11 +42,9 @@ study. At 0.25 its published result is the same."""
 DRAWS = 20_000
 """Of each χ²: ends of a 95 % interval then repeat within 1 % of its width."""
 
-_ROUNDING = 1e-13
-"""Share of the squares that is rounding alone: double precision, over a hundred readings."""
+_ROUNDING = 1e-13  # share of the squares that is rounding alone: double precision, over a hundred readings
 
-_SEED = 20_000_101
-"""The same study gives the same intervals each time."""
+_SEED = 20_000_101  # the same study gives the same intervals each time
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,66 +88,72 @@ class Components:
 def analyse(table: StudyTable, *, nested: bool = False) -> Components:
     """Find the components by analysis of variance.
 
-    Parameters
-    ----------
-    table
-        Balanced or with gaps, at least two parts and some cell with two trials.
-    nested
-        Whether each operator had parts of their own.
+    The table may have gaps, but needs two parts and some cell with two trials. `nested`: each operator had
+    parts of their own.
 
-    Raises
-    ------
-    DataError
-        Too few parts or no repetition, no variation at all, or effects that the gaps make inseparable.
+    Raises DataError: too few parts or no repetition, no variation at all, or effects that the gaps make
+    inseparable.
     """
     values, part, operator = _checked(table, nested)
     values = values - values.mean()  # squares of what is far from zero would lose their digits
     cell = _codes([f"{p}\0{o}" for p, o in zip(part, operator, strict=True)])
     of_part, of_operator = _codes(cell.tolist() if nested else part), _codes(operator)
     one = np.zeros(values.size, np.int64)
-    crossed = not nested and of_operator.max() > 0
-    # each effect: its name, the model that has it, the model without it
-    models: list[tuple[str, Sequence[Integers] | None, Sequence[Integers]]]
+    # each effect: the model that has it, None being all, and the model without it
+    models: dict[str, tuple[tuple[Integers, ...] | None, tuple[Integers, ...]]]
     if nested:
-        models = [
-            ("operator", (of_operator,), (one,)),
-            ("part", (cell,), (of_operator,)),
-            ("repeatability", None, (cell,)),
-        ]
-    elif crossed:
-        models = [
-            ("part", (of_part, of_operator), (of_operator,)),
-            ("operator", (of_part, of_operator), (of_part,)),
-            ("interaction", (cell,), (of_part, of_operator)),
-            ("repeatability", None, (cell,)),
-        ]
+        models = {"operator": ((of_operator,), (one,)), "part": ((cell,), (of_operator,))}
+        if of_operator.max() == 0:
+            models.pop("operator")
+    elif of_operator.max() > 0:
+        both = of_part, of_operator
+        models = {
+            "part": (both, (of_operator,)),
+            "operator": (both, (of_part,)),
+            "interaction": ((cell,), both),
+        }
     else:
-        models = [("part", (of_part,), (one,)), ("repeatability", None, (of_part,))]
-    forms = {name: _form(values.size, full, less) for name, full, less in models}
-    if nested and of_operator.max() == 0:
-        forms.pop("operator")
+        models = {"part": ((of_part,), (one,))}
+    models["repeatability"] = None, (cell,)
+    forms = {
+        name: _projection(full, values.size) - _projection(less) for name, (full, less) in models.items()
+    }
     effects = {
         name: Effect(name, float(values @ q @ values), round(float(np.trace(q)))) for name, q in forms.items()
     }
-    _refuse_inseparable(table, effects)
-    pooled = False
-    if "interaction" in effects and effects["interaction"].freedom > 0:
-        p = _f_test(effects["interaction"], effects["repeatability"])[1]
-        pooled = not p <= POOLING_LEVEL
-    elif "interaction" in effects:
-        pooled = True
+    for name in ("part", "operator", "repeatability"):
+        if name in effects and effects[name].freedom < 1:
+            raise DataError(
+                f"{table.source}: {name} cannot be told from the other effects: too many gaps",
+                hint="measure some parts with every operator, and some twice",
+            )
+    error, inner = effects["repeatability"], effects.get("interaction")
+    if error.squares <= _ROUNDING * sum(effect.squares for effect in effects.values()):
+        raise DataError(
+            f"{table.source}: every repetition gives the same value: repeatability is below the resolution",
+            hint="give more digits; or are the repeated images copies of one file?",
+        )
+    pooled = inner is not None and not (inner.freedom and _f_test(inner, error)[1] <= POOLING_LEVEL)
+    rest = error
+    if inner is not None and pooled:
+        rest = Effect("repeatability", error.squares + inner.squares, error.freedom + inner.freedom)
+    # what each effect's F test divides by
+    against = {"part": inner if inner is not None and not pooled else rest, "interaction": error}
+    against["operator"] = effects["part"] if nested else against["part"]
+    shown = tuple(
+        Effect(name, effect.squares, effect.freedom, *_f_test(effect, against[name]))
+        if name in against
+        else effect
+        for name, effect in effects.items()
+    )
     groups = {"part": of_part, "operator": of_operator, "interaction": cell, "repeatability": None}
-    shown = tuple(_tested(effects, pooled, nested))
     draws = _drawn(forms, groups, effects)
     if pooled:
         forms["repeatability"] = forms["repeatability"] + forms.pop("interaction")
-        both = effects["repeatability"], effects.pop("interaction")
-        effects["repeatability"] = Effect(
-            "repeatability", sum(e.squares for e in both), sum(e.freedom for e in both)
-        )
-    squares = np.array([[effects[name].squares] for name in forms])
+        effects["repeatability"] = rest
+    squares = np.array([effects[name].squares for name in forms])
     variance = np.maximum(np.linalg.solve(_expectations(forms, groups), squares), 0.0)
-    std = {name: float(found[0]) for name, found in _sums(dict(zip(forms, variance, strict=True))).items()}
+    std = {name: float(found) for name, found in _sums(dict(zip(forms, variance, strict=True))).items()}
     return Components("analysis of variance", std, _sums(draws), shown, pooled)
 
 
@@ -166,15 +170,22 @@ def average_range(table: StudyTable) -> Components:
             f"{table.source}: average and range need every part measured equally often by every operator",
             hint="the analysis of variance allows gaps: leave --method out",
         )
-    order = np.lexsort((of_part, of_operator))
-    grid = values[order].reshape(operators, parts, trials)
+    grid = values[np.lexsort((of_part, of_operator))].reshape(operators, parts, trials)
+
+    def by_range(means: Floats) -> float:
+        """Standard deviation by one range over d₂*(size, 1), its root mean square (Duncan 1955)."""
+        # rounded to four digits, like K₁, K₂ and K₃ of the manual, a study comes out as it does elsewhere
+        return float(np.ptp(means)) * round(1.0 / math.hypot(*range_constants(means.size)), 4)
+
     repeatability = float(np.ptp(grid, axis=2).mean()) * round(1.0 / range_constants(trials)[0], 4)
-    of_means = float(np.ptp(grid.mean(axis=(1, 2)))) * _single_range(operators) if operators > 1 else 0.0
-    reproducibility = math.sqrt(max(of_means**2 - repeatability**2 / (parts * trials), 0.0))
-    of_parts = float(np.ptp(grid.mean(axis=(0, 2)))) * _single_range(parts)
-    variance = {"repeatability": repeatability**2, "operator": reproducibility**2, "part": of_parts**2}
-    sums = _sums({name: np.array([value]) for name, value in variance.items()})
-    return Components("average and range", {name: float(value[0]) for name, value in sums.items()}, {})
+    of_means = by_range(grid.mean(axis=(1, 2))) if operators > 1 else 0.0
+    variance = {
+        "repeatability": repeatability**2,
+        "operator": max(of_means**2 - repeatability**2 / (parts * trials), 0.0),
+        "part": by_range(grid.mean(axis=(0, 2))) ** 2,
+    }
+    sums = _sums({name: np.array(value) for name, value in variance.items()})
+    return Components("average and range", {name: float(value) for name, value in sums.items()}, {})
 
 
 @cache
@@ -194,14 +205,6 @@ def range_constants(size: int) -> tuple[float, float]:
 
     second = 2.0 * dblquad(both, -8.0, 8.0, lambda high: -8.0, lambda high: high, epsabs=1e-7)[0]
     return float(mean), float(math.sqrt(second - mean**2))
-
-
-def _single_range(size: int) -> float:
-    """Give 1/d₂*(size, 1), the reciprocal root mean square of one range (Duncan 1955), as tables print it.
-
-    Rounded to four digits like K₁, K₂ and K₃ of the manual, so that a study comes out as it does elsewhere.
-    """
-    return round(1.0 / math.hypot(*range_constants(size)), 4)
 
 
 def _checked(table: StudyTable, nested: bool) -> tuple[Floats, list[str], list[str]]:
@@ -233,46 +236,6 @@ def _checked(table: StudyTable, nested: bool) -> tuple[Floats, list[str], list[s
     return values, part, operator
 
 
-def _refuse_inseparable(table: StudyTable, effects: dict[str, Effect]) -> None:
-    for name in ("part", "operator", "repeatability"):
-        if name in effects and effects[name].freedom < 1:
-            raise DataError(
-                f"{table.source}: {name} cannot be told from the other effects: too many gaps",
-                hint="measure some parts with every operator, and some twice",
-            )
-    total = sum(effect.squares for effect in effects.values())
-    if effects["repeatability"].squares <= _ROUNDING * total:
-        raise DataError(
-            f"{table.source}: every repetition gives the same value: repeatability is below the resolution",
-            hint="give more digits; or are the repeated images copies of one file?",
-        )
-
-
-def _tested(effects: dict[str, Effect], pooled: bool, nested: bool) -> list[Effect]:
-    """Give the table's lines with their F tests, against the residual that pooling leaves."""
-    error = effects["repeatability"]
-    inner = effects.get("interaction")
-    against = error
-    if inner is not None and not pooled:
-        against = inner
-    elif inner is not None:
-        against = Effect("", error.squares + inner.squares, error.freedom + inner.freedom)
-    lines = []
-    for name, effect in effects.items():
-        if name == "repeatability":
-            lines.append(effect)
-        else:
-            beside = (
-                error
-                if name == "interaction"
-                else effects["part"]
-                if nested and name == "operator"
-                else against
-            )
-            lines.append(Effect(name, effect.squares, effect.freedom, *_f_test(effect, beside)))
-    return lines
-
-
 def _f_test(effect: Effect, against: Effect) -> tuple[float, float]:
     from scipy.stats import f
 
@@ -298,17 +261,17 @@ def _drawn(
 
 def _expectations(forms: dict[str, Floats], groups: dict[str, Integers | None]) -> Floats:
     """Give (form, component): what each component of variance 1 adds to each sum of squares."""
-    return np.array([[_expected(form, groups[name]) for name in forms] for form in forms.values()])
+
+    def expected(form: Floats, group: Integers | None) -> float:
+        found = float(np.trace(form) if group is None else form[group[:, None] == group].sum())
+        return 0.0 if abs(found) < 1e-9 else found
+
+    return np.array([[expected(form, groups[name]) for name in forms] for form in forms.values()])
 
 
-def _form(size: int, full: Sequence[Integers] | None, less: Sequence[Integers]) -> Floats:
-    """Give the matrix of a sum of squares: projection on a model less that on a smaller one; None: all."""
-    return (np.eye(size) if full is None else _projection(full)) - _projection(less)
-
-
-def _projection(groups: Sequence[Integers]) -> Floats:
-    """Project on the space of the groups' means."""
-    return _projection_of(*(group.tobytes() for group in groups))
+def _projection(groups: Sequence[Integers] | None, size: int = 0) -> Floats:
+    """Project on the space of the groups' means; None: all of (size,)."""
+    return np.eye(size) if groups is None else _projection_of(*(group.tobytes() for group in groups))
 
 
 @lru_cache(maxsize=8)
@@ -321,14 +284,6 @@ def _projection_of(*groups: bytes) -> Floats:
     projection = np.asarray(left @ left.T)
     projection.flags.writeable = False
     return projection
-
-
-def _expected(form: Floats, group: Integers | None) -> float:
-    """Give what a component of variance 1 adds to the expectation of a sum of squares."""
-    if group is None:
-        return float(np.trace(form))
-    found = float(form[group[:, None] == group].sum())
-    return 0.0 if abs(found) < 1e-9 else found
 
 
 def _codes(names: Sequence[str]) -> Integers:
