@@ -152,7 +152,7 @@ def joint(
     `camera_file` holds a camera that is known and not looked for, `planes` (stripe, 3) p·X = 1 the same; the
     rest as among `PinholeCalibrator`'s options. Raises as `PinholeCalibrator.calibrate`.
     """
-    board, size = observed.board, observed.observations[0].frame.size
+    board = observed.board
     by_solids = planes_by_solids(observed)
     known = None if camera_file is None else read_camera(camera_file)
     if planes is not None:
@@ -160,6 +160,7 @@ def joint(
         start = measured.start
         first = FirstCamera(start.camera, [], start.rotation, start.shift)
         none = np.empty(0, np.int64)
+        size = observed.observations[0].frame.size
         return Joint(
             None, size, Seen(), first, none, 0.0, 0.0, None, measured, measured.adjusted(), moves=False
         )
@@ -175,6 +176,7 @@ def joint(
     tried = _poses_tried(observed)
     if not tried and not (by_solids and known is not None):
         raise CalibrationError("there is no image of the board", hint="name them in images.board")
+    size = observed.observations[0].frame.size
     free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(lens)
     while True:
         first = first_camera(seen, size, lens, known, tried, **({"least_if_known": 0} if by_solids else {}))

@@ -247,34 +247,53 @@ def _reasons(scene: RayCasterOptions, space: Space) -> list[Reason]:
     widths = [stripe.width_px(rig.sensor) for stripe in stripes]
     apart = np.abs(np.diff(rig.camera.project(space.feet_mm)[:, 0]))
     level = f"on a level surface of the product's albedo ({space.albedo:g}) at belt height"
-    speckle = scene.laser.speckle_contrast
-    crowded = bool(apart.size) and float(apart.min()) < 2.0 * WINDOW_SIGMAS * max(widths)
-    said = {
-        "stripe-out-of-view": bool(out)
-        and f"stripe {', '.join(out)}: not in the image on the belt at Y = {space.y_mm:.1f} mm",
-        "depth-of-field": rig.focus is None
-        and "depth of field and speckle limit: the scene gives no aperture; set "
-        "simulator.options.camera.focus.distance_mm and .f_number",
-        "spacing-height": rig.laser.count == 1
-        and "one plane: there is no neighbour to take it for, and the slices come from the belt's travel",
-        "saturated": bool(cut) and f"stripe {', '.join(cut)}: saturated {level}",
-        "dark-stripe": bool(dark)
-        and f"stripe {', '.join(dark)}: dead, or less than {_SEEN_SIGMAS:g} times the noise above its "
-        f"background {level}, somewhere in view",
-        "speckle": speckle > _MOST_CONTRAST
-        and f"speckle of contrast {speckle:g}: the nearer to fully developed (1), the less it is noise about "
-        f"a mean; the stated uncertainties hold up to a contrast of {_MOST_CONTRAST:g}",
-        "narrow": min(widths) < _NARROW_PX
-        and f"the thinnest stripe has a standard deviation of {min(widths):.2f} px: below {_NARROW_PX:g} px "
-        "the place within the pixel shows as a systematic error that is not counted",
-        "crowded": crowded
-        and f"stripes come as near as {apart.min():.1f} px at a standard deviation of {max(widths):.1f} px: "
-        "they overlap, and the uncertainties of single stripes do not hold",
-        "matt": (scene.surface.gloss > 0.0 or scene.surface.below.share > 0.0)
-        and "uncertainties are those of a matt surface: gloss and light from below the surface, which the "
-        "scene has, are not counted",
-    }
-    return [Reason(code, text) for code, text in said.items() if text]
+    found = []
+    if out:
+        where = f"not in the image on the belt at Y = {space.y_mm:.1f} mm"
+        found.append(Reason("stripe-out-of-view", f"stripe {', '.join(out)}: {where}"))
+    if rig.focus is None:
+        text = (
+            "depth of field and speckle limit: the scene gives no aperture; set "
+            "simulator.options.camera.focus.distance_mm and .f_number"
+        )
+        found.append(Reason("depth-of-field", text))
+    if rig.laser.count == 1:
+        text = "one plane: there is no neighbour to take it for, and the slices come from the belt's travel"
+        found.append(Reason("spacing-height", text))
+    if cut:
+        found.append(Reason("saturated", f"stripe {', '.join(cut)}: saturated {level}"))
+    if dark:
+        text = (
+            f"stripe {', '.join(dark)}: dead, or less than {_SEEN_SIGMAS:g} times the noise above its "
+            f"background {level}, somewhere in view"
+        )
+        found.append(Reason("dark-stripe", text))
+    if scene.laser.speckle_contrast > _MOST_CONTRAST:
+        text = (
+            f"speckle of contrast {scene.laser.speckle_contrast:g}: the nearer to fully developed (1), "
+            "the less it is noise about a mean; the stated uncertainties hold up to a contrast of "
+            f"{_MOST_CONTRAST:g}"
+        )
+        found.append(Reason("speckle", text))
+    if min(widths) < _NARROW_PX:
+        text = (
+            f"the thinnest stripe has a standard deviation of {min(widths):.2f} px: below "
+            f"{_NARROW_PX:g} px the place within the pixel shows as a systematic error that is not counted"
+        )
+        found.append(Reason("narrow", text))
+    if apart.size and float(apart.min()) < 2.0 * WINDOW_SIGMAS * max(widths):
+        text = (
+            f"stripes come as near as {apart.min():.1f} px at a standard deviation of {max(widths):.1f} px: "
+            "they overlap, and the uncertainties of single stripes do not hold"
+        )
+        found.append(Reason("crowded", text))
+    if scene.surface.gloss > 0.0 or scene.surface.below.share > 0.0:
+        text = (
+            "uncertainties are those of a matt surface: gloss and light from below the "
+            "surface, which the scene has, are not counted"
+        )
+        found.append(Reason("matt", text))
+    return found
 
 
 def _sketch(space: Space) -> tuple[PlanShape, ...]:

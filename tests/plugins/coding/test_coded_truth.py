@@ -10,6 +10,7 @@ import pytest
 coded = pytest.importorskip("benchmarks.coded", reason="only in a checkout")
 from roemetry.records import StripeMap  # noqa: E402
 from roemetry_simulate.solid import Block, EmptyBelt  # noqa: E402
+from roemetry_tools.compare.stripes import nearest  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +80,7 @@ def _answer(sample, shift: int) -> StripeMap:
     """Give every peak the stripe of its nearest crossing, moved on by `shift` where there is one."""
     peaks, true = sample.peaks, sample.crossings
     stripes, rows = sample.calibration.stripe_count, peaks.image_size[0]
-    near = coded.scoring.nearest(peaks.row, peaks.x_px, true.row, true.x_px)
+    near = nearest(peaks.row, peaks.x_px, true.row, true.x_px)
     given = (near >= 0) & (true.stripe[near] + shift < stripes)
     cell = np.where(given, (true.stripe[near] + shift) * rows + peaks.row, -1)
     _, first = np.unique(cell, return_index=True)  # of two peaks of one stripe and row

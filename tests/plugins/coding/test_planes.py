@@ -12,6 +12,7 @@ from roemetry.testing.scenes import LinearRig, wrong_labels
 from roemetry_coding.planes import Planes, PlanesOptions, epipolar_lines, margin_of
 from roemetry_kernels.rest_lines import calibrated_rest_lines
 from roemetry_simulate.solid import Block
+from roemetry_tools.compare.stripes import nearest
 
 coded = pytest.importorskip("benchmarks.coded", reason="only in a checkout")
 
@@ -43,7 +44,7 @@ def test_stripes_are_in_order_on_epipolar_lines(dense) -> None:
     peaks, crossings = dense.peaks, dense.crossings
     lines = epipolar_lines(peaks, dense.calibration, calibrated_rest_lines(peaks, dense.calibration).x_px)
     line = np.rint(lines.line).astype(int)
-    of = coded.scoring.nearest(peaks.row, peaks.x_px, crossings.row, crossings.x_px)
+    of = nearest(peaks.row, peaks.x_px, crossings.row, crossings.x_px)
     true = np.where(of >= 0, crossings.stripe[of], -1)
     known = true >= 0
     order = np.lexsort((lines.u[known], line[known]))
