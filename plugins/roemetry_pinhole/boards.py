@@ -39,7 +39,7 @@ _WHOLE = "hold it wholly inside the image"
 _OTHER = "correct `board` in the rig file, or leave the image out"
 
 
-_NONE = "is it there, lit, in front of something that differs from it?"
+_ADVICE = "is it there, lit, in front of something that differs from it?"
 
 
 class BoardNotFoundError(Exception):
@@ -79,7 +79,7 @@ def why_no_charuco(grey: NDArray[np.uint8], board: Board, corners: int) -> str:
         if found > max(3, 2 * own) and not name.startswith(described[:8]):
             return f"it is another board: {found} markers of {name} are seen, {own} of {described}; {_OTHER}"
     if own == 0:
-        return _blurred(grey) or f"no board is seen; {_NONE}"
+        return _blurred(grey) or f"no board is seen; {_ADVICE}"
     if own > 4 and corners < 4:
         count = np.size(charuco_of(board, "new").getIds())
         if ids.max() >= count:
@@ -110,7 +110,7 @@ def why_no_chessboard(grey: NDArray[np.uint8], board: Board) -> str:
     found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
     blurred = _blurred(grey)  # then what is found is a part of the board, not the whole of another one
     if not found or meta is None or blurred:
-        return blurred or f"no board is seen; {_NONE}"
+        return blurred or f"no board is seen; {_ADVICE}"
     size = sorted(meta.shape)
     xy = corners.reshape(-1, 2)
     pitch = float(np.median(np.hypot(*np.diff(xy[: meta.shape[1]], axis=0).T)))
@@ -135,7 +135,7 @@ def why_no_circles(grey: NDArray[np.uint8], board: Board, circles_px: Floats) ->
     expected, count = board.columns * board.rows, len(circles_px)
     if count < expected / 4:
         return _blurred(grey) or (
-            f"no board is seen ({count} dark circles, {expected} are expected); {_NONE}"
+            f"no board is seen ({count} dark circles, {expected} are expected); {_ADVICE}"
         )
     if count >= expected:
         return (

@@ -193,7 +193,7 @@ class PinholeDots(Triangulator[StageOptions]):
         if rays is None or dots is None:
             what = "the calibration has no rays" if rays is None else "the stripes are lines, not dots"
             raise StageError(f"{what}: pinhole-dots triangulates dots", hint="calibrate with pinhole-dots")
-        check_size(stripes, calibration)
+        check_size(stripes, calibration, "columns of dots")
         lines = rays.moved(calibration.parameters)
         view = view_of(calibration.parameters, lines, calibration.image_size)
         stripe, row = np.nonzero(np.isfinite(stripes.x_px) & (dots.line >= 0))

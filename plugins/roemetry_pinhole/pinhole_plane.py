@@ -221,15 +221,15 @@ def projector_of(planes: Floats) -> Floats:
     return point if np.sqrt((off**2).mean()) < _FAN_RMS_MAX_MM else np.full(3, np.nan)
 
 
-def check_size(stripes: StripeMap, calibration: Calibration) -> None:
+def check_size(stripes: StripeMap, calibration: Calibration, called: str = "stripes") -> None:
     """Refuse a map of another number of stripes or of rows than the calibration; StageError says which."""
     if stripes.stripe_count != calibration.stripe_count:
         raise StageError(
-            f"{stripes.stripe_count} stripes are labelled, the calibration has {calibration.stripe_count}"
+            f"{stripes.stripe_count} {called} are labelled, the calibration has {calibration.stripe_count}"
         )
     if stripes.rows != calibration.image_size[0]:
         raise StageError(
-            f"the stripes have {stripes.rows} rows, the calibration's images {calibration.image_size[0]}"
+            f"the {called} have {stripes.rows} rows, the calibration's images {calibration.image_size[0]}"
         )
 
 
@@ -245,7 +245,7 @@ class PinholePlane(Triangulator[StageOptions]):
     )
 
     def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
-        """Give a slice for each stripe, with a point for each image row; StageError as of `check_size`."""
+        """Give a slice for each stripe, with a point for each image row; StageError as by `check_size`."""
         check_size(stripes, calibration)
         parameters = calibration.parameters
         pose = belt_pose(parameters["belt_per_mm"])

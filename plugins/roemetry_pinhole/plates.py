@@ -332,7 +332,7 @@ def from_plate(
 ) -> OnSolids:
     """Find the planes of light from images of the sphere plate and of the empty belt; the belt must be known.
 
-    The other parameters are as of `from_solids`.
+    The other parameters are those of `from_solids`.
 
     Raises CalibrationError: the belt is not known or its empty image is missing; the plate is not seen; a
     stripe lies on no ball.

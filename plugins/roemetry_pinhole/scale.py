@@ -97,7 +97,7 @@ def scaled_by_references(
     for one, other in combinations(found, 2):
         apart = one.by_parameter - other.by_parameter
         std = float(np.sqrt(one.own_std**2 + other.own_std**2 + apart @ covariance @ apart))
-        _check_alike(one.name, other.name, one.what, one.ratio / other.ratio, std, _CALLIPER)
+        _check_alike(other.name, one.name, one.what, one.ratio / other.ratio, std, _CALLIPER)
     # all lengths follow −ln ratio, which depends on the parameters and on the references' own errors
     way, slope = by_scale(calibration.parameters), share @ np.array([one.by_parameter for one in found])
     own = float((share**2) @ np.array([one.own_std**2 for one in found]))
@@ -120,7 +120,7 @@ def scaled_by_references(
 
 
 def _check_alike(by: str, name: str, what: str, ratio: float, std: float, hint: str) -> None:
-    """Refuse two sources of one scale that contradict each other."""
+    """Refuse two sources of one scale that contradict each other; `ratio` is that of `what` by `by`."""
     if abs(np.log(ratio)) > CONFLICT_STDS * std:
         raise CalibrationError(
             f"{by} and {name} contradict each other: by the {by} {what} is {ratio:.4f} ± {std:.4f} times "

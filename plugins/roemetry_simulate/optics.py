@@ -42,8 +42,8 @@ class Camera:
     - `focal_length_mm`: Distance from the pinhole to the sensor.
     - `T_belt_camera`, shape (4, 4): Pose "to belt from camera", millimetres. Camera axes: x right, y down, z
       forward.
-    - `principal_point_px`: Where the optical axis meets the image; None is the image centre ((w - 1)/2, (h -
-      1)/2).
+    - `principal_point_px`: Where the optical axis meets the image; None is the image centre
+      ((w - 1)/2, (h - 1)/2).
     - `distortion`: k1, k2, p1, p2, k3 of OpenCV's model; all zero is a perfect lens.
     """
 

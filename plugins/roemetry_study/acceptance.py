@@ -155,9 +155,11 @@ def decide(values: Sequence[Value], limits_mm: dict[str, float]) -> tuple[Outcom
             )
         worst = max(mine, key=lambda value: abs(value.error_mm))
         guard, size = GUARD * worst.std_mm, abs(worst.error_mm)
-        decision = "undecided" if size <= limit + guard else "rejected"
+        decision = "undecided"  # where the error is NaN, too
         if size <= limit - guard:
             decision = "accepted"
+        elif size > limit + guard:
+            decision = "rejected"
         count = "1 value" if len(mine) == 1 else f"{len(mine)} values"
         words = (
             f"{CHARACTERISTICS[name]}: {decision}: largest error {worst.error_mm:+.4f} mm ({worst.what}), "

@@ -70,7 +70,7 @@ class Agreement:
 
 
 def agreement(table: StudyTable, good: str) -> Agreement:
-    """Compare classes, maybe with references; misses and false alarms are counted by the class `good`.
+    """Compare classes, with or without references; misses and false alarms are counted by the class `good`.
 
     Raises DataError: fewer than ten parts, or one class throughout.
     """

@@ -139,7 +139,7 @@ class Verified:
 
 
 def verify(path: Path, trusted_key: str = "", page: Path | None = None) -> Verified:
-    """Prove that a certificate's JSON file is unchanged, and maybe its `page` was made of it.
+    """Prove that a certificate's JSON file is unchanged and, if given, that `page` was made from it.
 
     It should have been signed with the public key `trusted_key`; "": with any. Raises DataError: it is no
     certificate, was changed, is not signed, or is signed by another key; PluginError: the library that

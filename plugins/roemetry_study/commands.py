@@ -65,7 +65,10 @@ def gauge(
     ],
     layout: Annotated[
         Path | None,
-        _option("--layout", "For runs: a table (CSV) of id, part, operator, trial, maybe run and reference."),
+        _option(
+            "--layout",
+            "For runs: a table (CSV) of id, part, operator, trial, optionally run and reference.",
+        ),
     ] = None,
     by: Annotated[
         str, _option("--by", "Column that says who or what measured: operator, head, …")

@@ -45,7 +45,7 @@ class ArtefactFile(Section):
 
     target: str = Field(description="its description, as in calib_targets/; relative to this file")
     images: list[str] = Field(
-        min_length=1, description="images of it, maybe with * and ?, relative to this file"
+        min_length=1, description="images of it, with * and ? as wildcards, relative to this file"
     )
     std_mm: float = Field(
         gt=0,

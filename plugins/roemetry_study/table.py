@@ -106,8 +106,8 @@ def read_table(
     Parameters
     ----------
     sources
-        One table (CSV) with the columns ``part`` and `value`, maybe `operator`, ``trial``, ``reference``,
-        ``std``, ``time``, ``image_sha256``; or folders of runs.
+        One table (CSV) with the columns ``part`` and `value`, optionally `operator`, ``trial``,
+        ``reference``, ``std``, ``time``, ``image_sha256``; or folders of runs.
     value
         Column, value of a run's rows (`RECORDED`), or a feature's name.
     layout
@@ -151,7 +151,7 @@ def read_table(
 
 
 def _reading(row: Mapping[str, str], operator: str, value: str, place: str, std: float = math.nan) -> Reading:
-    """Make a reading of a table's line, its value and uncertainty maybe from elsewhere."""
+    """Make a reading of a table's line, its value and uncertainty may come from elsewhere."""
     if row.get("std") and math.isnan(std):
         std = StudyTable._finite(row["std"], place, "std")
     part, who, trial = row["part"], row.get(operator, "") or "–", row.get("trial", "")

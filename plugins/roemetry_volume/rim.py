@@ -162,8 +162,8 @@ def fitted_rim(
     scatter = (weight * off**2).sum()
     alike = (np.sqrt(weight[2:] * weight[:-2]) * off[2:] * off[:-2]).sum()
     alike = min(max(alike / scatter, 0.0), 1.0) if scatter > 0.0 else 0.0
-    told_ends = weight.sum() ** 2 / (weight**2).sum()  # ends of little weight average little out
-    apart = max(told_ends * (1.0 - alike) / (1.0 + alike), 1.0)
+    effective_ends = weight.sum() ** 2 / (weight**2).sum()  # ends of little weight hardly average out
+    apart = max(effective_ends * (1.0 - alike) / (1.0 + alike), 1.0)
     std = np.sqrt(((weight * wide**2).sum() + scatter / apart) / weight.sum())
     return found, (scale_s, scale_v), max(std, 0.1), is_dome
 

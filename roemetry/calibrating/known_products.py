@@ -102,7 +102,7 @@ def read_weights(path: Path) -> Mapping[str, Weighed]:
     Parameters
     ----------
     path
-        A CSV file with `id` (or `acquisition`) and `mass_g`, maybe `mass_std_g`; a line a product. Lines
+        A CSV file with `id` (or `acquisition`) and `mass_g`, optionally `mass_std_g`; a line a product. Lines
         without a mass are products that were not weighed.
 
     Returns

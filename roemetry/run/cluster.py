@@ -48,7 +48,7 @@ nothing to do take 96 ms of processor time a second, with these settings 9 ms.
 _CHUNK_S = 1.0
 """Work that is handed over at once, s: long beside the 10 ms that a chunk costs scheduler and client."""
 _CHUNK_S_PER_THREAD = 0.08
-"""Of many threads, a chunk is longer: the client, at 6 ms a chunk, is then at work a twelfth of the time."""
+"""Of many threads, a chunk is longer: the client, at 6 of those 10 ms, then works a twelfth of the time."""
 _CHUNK_MAX = 200
 """Tasks at once, at most: what is done again where a worker dies."""
 _WAITING_PER_THREAD = 4

@@ -250,7 +250,7 @@ def _within(
 
 
 def _well_inside(outline: Outline, inside: Flags, row: Integers, x_px: Floats, depth_px: float) -> Flags:
-    """Say of places, of which it is known which lie inside an outline, which do so far to every side, too."""
+    """Say which of the places inside an outline lie that deep inside it on every side."""
     found = inside.copy()
     some = np.flatnonzero(found)
     right, down = depth_px * np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])[:, :, None]

@@ -32,7 +32,8 @@ def time_limit(limit_s: float | None) -> AbstractContextManager[None]:
 def timer_kept() -> Iterator[None]:
     """Take the system's timer for all limits within at once: for each by itself it takes as long as a stage.
 
-    Only a main thread has one, and only where nobody else has set it; else nothing is done.
+    Only a main thread has one, and only where nobody else has set it; else nothing is done. Who else sets the
+    timer or its signal within is overridden by the next limit.
     """
     if not _has_timer() or not _timer.take():
         yield

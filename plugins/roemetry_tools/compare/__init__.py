@@ -196,6 +196,6 @@ def _show(compared: Sequence[Compared], terms: Terms, without_truth: str) -> Non
 
 
 def say(lines: Iterable[str]) -> None:
-    """Print lines as they are, but empty ones."""
+    """Print lines as they are, except empty ones."""
     for line in filter(None, lines):
         Console().print(line, highlight=False, markup=False, soft_wrap=True)

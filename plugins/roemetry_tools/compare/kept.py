@@ -55,7 +55,8 @@ class KeptLines:
 
     def read(self, as_what: Callable[[str], T], again: str) -> Iterator[T]:
         """Give what was kept before, in order; OutputError where a line is damaged says to begin `again`."""
-        with self.path.open(encoding="utf-8") as file:
+        # a byte that is no UTF-8 is damage as any other, and told with its line
+        with self.path.open(encoding="utf-8", errors="replace") as file:
             file.readline()
             for number, line in enumerate(file, start=2):
                 try:

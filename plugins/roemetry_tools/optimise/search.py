@@ -79,7 +79,11 @@ class KeptTrials(KeptLines):
         decides = f"{identity_of([space.as_it_is], data, Terms())} {axes} {[*told]}"
         other = "search in this folder is of another recipe, space, seed or data"
         super().__init__(folder / TRIED, hashlib.sha256(decides.encode()).hexdigest(), other)
-        self._known = dict(self.read(_read, "search"))
+        try:
+            self._known = dict(self.read(_read, "search"))
+        except OutputError:
+            self.__exit__()
+            raise
 
     def figures_of(self, variant: Variant) -> TrialFigures | None:
         """Give what a recipe came to before; None where it was not tried."""

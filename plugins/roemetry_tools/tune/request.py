@@ -233,11 +233,15 @@ def _kind(option: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _bounds(option: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    for end, name in (("inimum", "low"), ("aximum", "high")):
-        for key, is_open in ((f"m{end}", False), (f"exclusiveM{end}", True)):
-            if key in option:
-                yield name, float(option[key])
-                yield f"{name}_open", is_open
+    for key, name, is_open in (
+        ("minimum", "low", False),
+        ("maximum", "high", False),
+        ("exclusiveMinimum", "low", True),
+        ("exclusiveMaximum", "high", True),
+    ):
+        if key in option:
+            yield name, float(option[key])
+            yield f"{name}_open", is_open
 
 
 def _unit(name: str) -> str:
