@@ -82,7 +82,7 @@ class KeptTrials(KeptLines):
         try:
             self._known = dict(self.read(_read, "search"))
         except OutputError:
-            self.__exit__()
+            self.__exit__(None, None, None)
             raise
 
     def figures_of(self, variant: Variant) -> TrialFigures | None:
