@@ -11,6 +11,7 @@ of its own, which says what it took: s by the clock, s of processor time, MB at 
 from __future__ import annotations
 
 import argparse
+import copy
 import json
 import random
 import resource
@@ -51,6 +52,8 @@ def main() -> None:
     ):
         command = [sys.executable, "-m", "benchmarks", "million", "--out", folder, "--step", *step]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise SystemExit(f"{' '.join(step)}: exit code {done.returncode}\n{done.stderr}")
         print(f"{' '.join(step)}: {done.stderr.strip().splitlines()[-1]}", flush=True)
     print(f"report.html {(asked.out / 'report.html').stat().st_size / 1e6:.1f} MB")
 
@@ -75,10 +78,12 @@ def _make(recipe: Path, out: Path, count: int) -> None:
     rng = random.Random(1)
     with record.open("w", encoding="utf-8") as file:
         for number in range(count):
-            row, name = rows[number % len(rows)], f"p{number:07d}"
+            row, name = copy.deepcopy(rows[number % len(rows)]), f"p{number:07d}"
             row |= {"id": f"{name}#1", "acquisition": name, "status": "measured", "absent": {}}
-            row["weight"]["mass_g"]["value"] *= rng.gauss(1.0, 0.002)
-            row["volume"]["visible_mm3"]["value"] *= rng.gauss(1.0, 0.002)
+            for estimate in (row["weight"]["mass_g"], row["volume"]["visible_mm3"]):
+                factor = rng.gauss(1.0, 0.002)
+                estimate["value"] *= factor
+                estimate["interval"] = [factor * bound for bound in estimate["interval"]]
             written = row
             if rng.random() < 0.005:
                 why = {"code": rng.choice(_FAULTS), "text": "made to fail"}
