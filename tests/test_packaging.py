@@ -9,6 +9,7 @@ from pathlib import Path
 
 from roemetry.stages import INTERFACES
 from roemetry.stages.registry import discover
+from roemetry_tools.doctor import KNOWN_NUMBERS, known_numbers
 
 LIBRARIES = {"roemetry_kernels"}
 
@@ -36,6 +37,16 @@ def test_every_registered_stage_can_be_imported_and_is_of_its_kind() -> None:
 def test_every_package_is_typed(root: Path) -> None:
     packages = [root / "roemetry", *(f for f in (root / "plugins").iterdir() if (f / "__init__.py").exists())]
     assert [package.name for package in packages if not (package / "py.typed").exists()] == []
+
+
+def test_all_that_the_doctor_needs_lies_in_the_package(root: Path) -> None:
+    build = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"]["build"]
+    included = build["targets"]["wheel"]["force-include"]
+    folder = root / "recipes" / "herring_roe"
+    names = {row.partition("#")[0] for row in known_numbers(folder)}
+    needed = ["recipe.yaml", "calibration.yaml", KNOWN_NUMBERS, *(f"images/{name}.png" for name in names)]
+    for name in (f"recipes/herring_roe/{name}" for name in needed):
+        assert any(name == path or name.startswith(f"{path}/") for path in included), name
 
 
 def test_every_product_line_can_be_begun_from_a_wheel(root: Path) -> None:

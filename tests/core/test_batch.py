@@ -226,8 +226,8 @@ def test_resume_measures_what_is_missing_and_mends_half_a_line(line: Line, tmp_p
 def test_killed_or_asked_to_end_all_but_the_last_line_is_whole(line: Line, tmp_path: Path) -> None:
     path, out = line(60), tmp_path / "out"
     record = out / RECORD
-    size = 0
-    for number in (signal.SIGKILL, signal.SIGHUP):
+    kept = 0
+    for number in (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP):
         words = [sys.executable, "-m", "roemetry", "run", str(path), "--out", str(out), "--json"]
         with subprocess.Popen(
             [*words, *["--resume"] * record.exists()],
@@ -238,19 +238,25 @@ def test_killed_or_asked_to_end_all_but_the_last_line_is_whole(line: Line, tmp_p
             preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
         ) as process:
             deadline = time.monotonic() + 60
-            while time.monotonic() < deadline and not (record.exists() and record.stat().st_size > size):
+            while time.monotonic() < deadline and not (
+                record.exists() and record.read_bytes().count(b"\n") > kept
+            ):
                 time.sleep(0.002)
             process.send_signal(number)
             said = process.communicate(timeout=60)
         written = record.read_text(encoding="utf-8")
         whole = written[: written.rfind("\n") + 1]  # the system may stop in the middle of a write
         assert all(json.loads(row)["status"] == "measured" for row in whole.splitlines())
-        assert len(whole) > 0
-        size = len(written.encode())
-    assert process.returncode == 130, said
-    assert said[0] == ""
-    assert f"stopped by SIGHUP; what was measured is whole in {out}" in said[1]
-    assert "--resume" in said[1] and "Traceback" not in said[1]
+        assert whole.count("\n") > kept, said
+        kept = whole.count("\n")
+        if number == signal.SIGKILL:
+            assert process.returncode == -signal.SIGKILL, said
+            continue
+        assert whole == written
+        assert process.returncode == 130, said
+        assert said[0] == ""
+        assert f"stopped by {number.name}; what was measured is whole in {out}" in said[1]
+        assert "--resume" in said[1] and "Traceback" not in said[1]
     run_recipe(Recipe.load(path), out, resume=True)
     assert record.read_text(encoding="utf-8").startswith(whole)
     assert [row.acquisition for row in read_record(out)] == [f"p{n:02d}" for n in range(1, 61)]

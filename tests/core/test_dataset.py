@@ -147,3 +147,18 @@ def test_write_whole_keeps_the_old_file_when_it_fails(
         write_whole(path, "new")
     assert path.read_text(encoding="utf-8") == "old"
     assert [item.name for item in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_a_line_that_the_system_writes_in_parts_is_whole_or_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, real = tmp_path / "record.jsonl", os.write
+    with LineFile(path) as record:
+        monkeypatch.setattr(os, "write", lambda descriptor, data: real(descriptor, data[:3]))
+        record.append("hello")
+        with pytest.raises(OutputError, match="only in part"):
+            record.append("longer than two parts")
+        assert path.read_text("utf-8") == "hello\n"
+        monkeypatch.undo()
+        record.append("whole")
+    assert path.read_text("utf-8") == "hello\nwhole\n"

@@ -343,6 +343,20 @@ def test_the_grades_probability_is_the_share_of_draws() -> None:
     assert done(given, SumOfHeights(), None, classifier, draws=0).grade.probability == 1.0
 
 
+class NeverSure(AboveLimit):
+    """Names no class, and has a feature that no draw changes, of a value no sum of equals hits."""
+
+    def classify(self, product, *, rng=None):
+        return Grade("unknown", features={"always": 0.1})
+
+
+@pytest.mark.parametrize("draws", [60, 0])
+def test_an_unknown_grade_has_no_probability_and_what_never_changes_no_scatter(draws: int) -> None:
+    found = done(scene(), SumOfHeights(), classifier=NeverSure(), draws=draws)
+    assert math.isnan(found.grade.probability)
+    assert found.grade.features_std == {"always": 0.0}
+
+
 class Softly(AboveLimit):
     """States a probability of both classes: a straight line over 100 mm, far from its ends."""
 

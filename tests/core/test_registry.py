@@ -77,8 +77,9 @@ def test_a_broken_plugin_costs_only_itself_and_says_why(plugins, text: str, says
     assert [stage.entry.name for stage in registry.stages] == ["mine"]
     assert "plugin_bad 1.0" in str(registry.broken[0])
     assert says in str(registry.broken[0])
-    with pytest.raises(PluginError, match="plugin_bad"):
+    with pytest.raises(PluginError, match="plugin_bad") as caught:
         registry.find("extractor", "gone")
+    assert says in str(caught.value), "the reason is repeated where a stage is missed"
 
 
 def test_the_folder_of_a_package_is_told_to_be_installed(

@@ -11,6 +11,7 @@ from tests.docs.reading import VERBS, blocks, coded, page, section, table
 
 
 def test_the_tables_of_the_command_line_are_the_options() -> None:
+    assert VERBS
     for verb, command in VERBS.items():
         part = section(page("command-line.md"), f"## `roemetry {verb}`")
         told = {word for row in table(part) if row[0].startswith("`-") for word in coded(row[0])}

@@ -59,6 +59,13 @@ ONCE = r"roemetry (doctor|check-plugin dominant-peak|study plan|plan recipes/|st
 """What these say hangs on the shipped files alone and no later command needs it: once is enough."""
 
 WITH_COMMANDS = [page for page in PAGES if commands(page)]
+RUN_ON = {
+    command: page
+    for page in reversed(WITH_COMMANDS)
+    for command in commands(page)
+    if re.match(ONCE, command) and "--out" not in command
+}
+"""The first page with each command of `ONCE`: it is run there, whichever pages are asked for."""
 
 
 @pytest.fixture(scope="session")
@@ -66,11 +73,6 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("docs") / "clone"
     make_world(folder)
     return folder
-
-
-@pytest.fixture(scope="session")
-def run_before() -> set[str]:
-    return set()
 
 
 @pytest.fixture
@@ -87,13 +89,13 @@ def clone(kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterat
 
 @pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: str(page.relative_to(ROOT)))
 def test_the_commands_of_a_page_run(
-    page: Path, clone: Path, rng: np.random.Generator, run_before: set[str], monkeypatch: pytest.MonkeyPatch
+    page: Path, clone: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, text in titled(page).items():
         (clone / "my-plugin" / name).parent.mkdir(parents=True, exist_ok=True)
         (clone / "my-plugin" / name).write_text(text, "utf-8")
     for command in commands(page):
-        if stands_for_something(command) or command in run_before:
+        if stands_for_something(command) or RUN_ON.get(command, page) != page:
             continue
         for name, text in titled(page).items():
             if name in command.split() and (clone / name).parent.is_dir():
@@ -101,8 +103,6 @@ def test_the_commands_of_a_page_run(
         skipped = next((pattern for pattern in NOT_RUN if re.match(pattern, command)), None)
         if skipped is None:
             _type(command, clone, rng, monkeypatch)
-            if re.match(ONCE, command) and "--out" not in command:
-                run_before.add(command)
         elif command.startswith("roemetry "):
             _parse(command)
         elif (found := re.match(r"pip install -e '?([\w./-]+)'?$", command)) and (clone / found[1]).is_dir():

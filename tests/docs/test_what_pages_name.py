@@ -61,7 +61,9 @@ def named_benchmarks() -> dict[str, set[str]]:
 def test_a_benchmark_that_is_named_takes_the_options_it_is_named_with(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name, options in named_benchmarks().items():
+    named = named_benchmarks()
+    assert named
+    for name, options in named.items():
         assert name in BENCHMARKS
         monkeypatch.setattr(sys, "argv", [name, "--help"])
         with pytest.raises(SystemExit):

@@ -76,7 +76,11 @@ def test_a_skeins_volume_stays_when_the_camera_turns_or_zooms_a_little() -> None
     recipe = roemetry.Recipe.load(HOME / "with_outline.yaml", sets=["uncertainty=none"])
     still = _volume(recipe, 0.0, 1.0)
     assert [reason.code for reason in still.reasons if reason.code == "moved"] == []
-    for turn_deg, scale, said in ((0.4, 1.0, "turned by 0.4"), (0.0, 0.995, "shrunk by 0.5")):
+    for turn_deg, scale, said in (
+        (0.4, 1.0, "turned by 0.4"),
+        (0.0, 0.995, "shrunk by 0.5"),
+        (0.15, 1.001, "turned by 0.15"),
+    ):
         moved = _volume(recipe, turn_deg, scale)
         texts = [reason.text for reason in moved.reasons if reason.code == "moved"]
         assert len(texts) == 1 and said in texts[0]

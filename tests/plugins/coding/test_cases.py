@@ -31,16 +31,12 @@ FAILURES = {
 }  # fmt: skip
 """Known: a coder and a case in which it gives a peak to another stripe, with the reason."""
 REGISTRY = discover()
+OTHERS = ("single", "pieces", "epipolar-dots", "grid-planes")
+"""These refuse any calibration of several lines."""
 CODERS: dict[str, Any] = {
     stage.entry.name: REGISTRY.load(stage)()
     for stage in REGISTRY.of_kind("coder")
-    if stage.entry.name
-    not in (
-        "single",
-        "pieces",
-        "epipolar-dots",
-        "grid-planes",
-    )  # these refuse any calibration of several lines
+    if stage.entry.name not in OTHERS
 }
 
 
@@ -67,6 +63,13 @@ def test_right_or_refused(coder: str, case: str) -> None:
             assert stripes.reasons, "product points are refused and no reason says so"
     else:
         assert wrong > 0, f"declared to fail ({known}), and does not any more"
+
+
+@pytest.mark.parametrize("coder", OTHERS)
+def test_a_coder_of_another_pattern_refuses_several_lines(coder: str) -> None:
+    sample = sample_of("broken_stripes")
+    with pytest.raises(StageError):
+        REGISTRY.load(REGISTRY.find("coder", coder))().code(sample.peaks, sample.calibration)
 
 
 def runs(rows: Integers, apart: int = 10) -> int:

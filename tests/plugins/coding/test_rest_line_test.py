@@ -93,3 +93,13 @@ def test_only_what_goes_on_for_long_counts(rows: int, between: int, kept: bool) 
     got = on_end(row, piece, found, 40, 3)
     np.testing.assert_array_equal(got[piece == 0], (found & kept)[piece == 0])
     np.testing.assert_array_equal(got[piece == 1], found[piece == 1])
+
+
+def test_a_short_run_keeps_its_line_where_its_trace_begins_or_ends_with_it() -> None:
+    """Nothing lies before it, or after: what another trace does says nothing of it."""
+    rest_px = np.full((1, ROWS), 100.0)
+    x_px = np.array([[98.0] * 9, [100.0] * 3 + [103.0] * 6, [97.0] * 6 + [100.0] * 3, [103.0] * 9])
+    row, trace = np.repeat(np.arange(140, 149), 4), np.tile(np.arange(4), 9)
+    alone = np.where(x_px.T.ravel() == 100.0, 0, -1)
+    found = on_rest_line(row, x_px.T.ravel(), trace, alone, rest_px, TOLERANCE_PX, 0.0, OUTER)
+    np.testing.assert_array_equal(found, alone)

@@ -207,7 +207,7 @@ def test_modbus_is_understood_by_another_implementation() -> None:
         assert plc.write_register(2, 7).isError() is False
         assert plc.write_register(5, 7).isError()
         before = plc.read_input_registers(0, count=1).registers[0]
-        wait_for(lambda: plc.read_input_registers(0, count=1).registers[0] != before, "no heartbeat", 1.0)
+        wait_for(lambda: plc.read_input_registers(0, count=1).registers[0] != before, "no heartbeat", 0.25)
         plc.close()
 
 

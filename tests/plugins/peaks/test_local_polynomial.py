@@ -105,13 +105,19 @@ def test_what_was_not_seen_stays_and_says_nothing(rng: np.random.Generator) -> N
     assert np.abs(smoothed.x_px - given.x_px)[0, [95, 99, 103, 108]].max() < 4.0 * STD_PX
 
 
+def test_points_that_state_nothing_are_smoothed_and_state_nothing(rng: np.random.Generator) -> None:
+    path = 100.0 + 0.1 * ROWS
+    given = stripes(noisy(path, rng))
+    smoothed = LocalPolynomial().smooth(replace(given, x_std_px=np.full(given.x_px.shape, np.nan)))
+    assert (smoothed.x_px - path).std() < 0.45 * STD_PX
+    assert np.isnan(smoothed.x_std_px).all()
+
+
 def test_the_shortest_pieces_stay() -> None:
     x_px = np.full((3, 12), np.nan)
     x_px[1, 4] = 5.0
     x_px[2, [2, 3]] = 5.0, 6.0
     smoothed = LocalPolynomial().smooth(stripes(x_px))
     assert np.array_equal(smoothed.x_px, x_px, equal_nan=True)
-    silent = LocalPolynomial().smooth(replace(stripes(x_px), x_std_px=np.full(x_px.shape, np.nan)))
-    assert np.isnan(silent.x_std_px).all()
     with pytest.raises(ValueError, match="odd"):
         LocalPolynomialOptions(rows=4)

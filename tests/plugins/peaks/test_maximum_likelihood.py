@@ -26,7 +26,7 @@ ROWS, STRIPES = 240, 9
 X_PX = 30.0 + 40.37 * np.arange(STRIPES)[:, None] + 0.02 * np.arange(ROWS)
 
 
-def drawn(rng: np.random.Generator, contrast: float, x_px: np.ndarray = X_PX) -> np.ndarray:
+def drawn(rng: np.random.Generator, contrast: float | np.ndarray, x_px: np.ndarray = X_PX) -> np.ndarray:
     """Stripes integrated over pixels, with speckle, shot noise, read noise and rounding."""
     light = sum(integrated(line, SIGMA_PX, AMPLITUDE, 400) for line in x_px)
     return exposed(speckled(light, contrast, rng) + LIGHT, rng)
@@ -71,6 +71,14 @@ def test_the_noise_is_estimated_as_it_was_drawn(rng: np.random.Generator) -> Non
     assert noise.gain == pytest.approx(GAIN, rel=0.3)  # one amplitude tells it apart from speckle badly
     assert noise.variance == pytest.approx(READ**2 + 1 / 12, abs=0.15)
     assert np.sqrt(noise.contrast2.max()) < 0.02
+
+
+def test_two_materials_in_one_image_have_a_contrast_each(rng: np.random.Generator) -> None:
+    left = np.arange(400)[None, :] < 205
+    peaks = made().extract(Frame(drawn(rng, np.where(left, 0.03, 0.25)), sensor=SENSOR))
+    error = errors_px(peaks, X_PX)
+    for side, contrast in ((peaks.x_px < 195, 0.03), (peaks.x_px > 215, 0.25)):
+        assert rms(error[side]) < 1.1 * bound_px(contrast)
 
 
 def test_errors_along_the_stripe_are_as_correlated_as_said(rng: np.random.Generator) -> None:

@@ -76,3 +76,11 @@ def test_the_page_of_a_calibration(observed, calibrated) -> None:
     text = evidence_page(calibrated, evidence, PinholePlane(), name="rig")
     for title in ("Coverage of the image", "Heights on held-out views", "Correlations of the parameters"):
         assert title in text
+
+
+@pytest.mark.thorough
+def test_a_failed_check_stands_in_the_verdict(observed, calibrated) -> None:
+    little = replace(calibrated, residuals={**calibrated.residuals, "corners_coverage": 0.3})
+    evidence = PinholeCalibrator().evidence(observed, little)
+    assert "checks failed" in evidence.verdict[0]
+    assert any("Board corners cover 30% of the image" in sentence for sentence in evidence.verdict)

@@ -16,7 +16,7 @@ from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOpti
 from roemetry_pinhole.conformance import _image, _peaks, _pose
 from roemetry_pinhole.pinhole_plane import lines_at_height, view_of
 from roemetry_pinhole.prints import tolerance_of
-from roemetry_pinhole.scale import check_scale
+from roemetry_pinhole.scale import by_scale, check_scale
 from tests.plugins.pinhole.solids_seen import over_balls
 
 FREE = PinholeCalibrator(PinholeCalibratorOptions(scale="free"))
@@ -94,6 +94,25 @@ def test_the_scale_comes_from_the_reference(seen, right, by_block, by: str) -> N
     assert (np.linalg.eigvalsh(made.covariance) > -1e-9 * np.abs(made.covariance).max()).all()
     if by == "ruler":
         assert made.residuals["pitch_ratio_std"] == pytest.approx(0.1 / 103.0, rel=1e-3)
+        way, std = by_scale(made.parameters), np.sqrt(np.diag(made.covariance))
+        beyond = (made.covariance - (0.1 / 103.0) ** 2 * np.outer(way, way))[np.ix_(std > 0.0, std > 0.0)]
+        least = np.linalg.eigvalsh(beyond / np.outer(std[std > 0.0], std[std > 0.0])).min()
+        assert least > -1e-6, "no combination of the parameters may be surer of lengths than the ruler"
+
+
+def way_std(made: Calibration) -> float:
+    """Relative standard deviation of the belt's way per count, as the covariance has it."""
+    names = [name for name, array in made.parameters.items() for _ in np.ravel(array)]
+    at = names.index("belt_per_mm") + 2
+    return float(np.sqrt(made.covariance[at, at]) / abs(made.parameters["belt_per_mm"][2]))
+
+
+@pytest.mark.thorough
+def test_the_covariance_holds_the_references_length(seen, by_block) -> None:
+    """A block known to a tenth as well gives distances that are uncertain by as much more."""
+    rough = replace(BLOCK, tolerance_mm=0.2)
+    stds = [way_std(made) for made in (by_block, FREE.calibrate(replace(smaller(seen, 1.03), block=rough)))]
+    assert stds[1] == pytest.approx(np.hypot(0.2 / np.sqrt(3.0) / 10.0, stds[0]), rel=0.05)
 
 
 def test_a_free_scale_without_reference_is_refused(seen) -> None:

@@ -98,6 +98,20 @@ def test_what_holds_for_every_product_is_said_once_and_no_uncertainty_is_invente
     assert "model-error-not-stated" not in text[text.index("<table") : text.index("</table>")]
 
 
+def test_stated_uncertainty_is_printed_and_sets_the_places(synthetic, tmp_path):
+    scene = synthetic.Scene("a")
+    (row,) = synthetic.measurements_of(scene)
+    row = replace(
+        row,
+        volume=replace(row.volume, visible_mm3=Estimate(20123.4, 456.7)),
+        weight=Weight(Estimate(22.136, 0.512)),
+        height_max_mm=Estimate(17.3772, 0.0221),
+    )
+    cells = Page(written(synthetic.run_of(tmp_path, [row], {}))).rows["a#1"]
+    weight = cells.index("22.14 ± 0.51")
+    assert cells[weight + 1 : weight + 3] == ["20.12 ± 0.46", "17.377 ± 0.022"]
+
+
 def test_two_products_share_their_pictures(mixed):
     text = mixed[1]
     section = next(part for part in text.split('<section class="acquisition"') if "2 products" in part)

@@ -158,11 +158,14 @@ def test_what_cannot_be_learned_from_is_named(rng: np.random.Generator) -> None:
 
 def test_a_damaged_model_is_named(learned_of_three: Fitted, tmp_path: Path) -> None:
     path, content = tmp_path / "m.json", json.loads(learned_of_three.content)
+    path.write_text(json.dumps(content), encoding="utf-8")
+    assert load_model(path).classes == ("bend", "dent", "good"), "the sound one is read"
     for damage in (
         {"weights": [[1.0]]},
         {"weights": [[math.nan] * 2] * 3},
         {"intercepts": [0.0]},
         {"fill": ["x", "y"]},
+        {"seen": {**content["seen"], "precision": [[1000]] * 3}},
     ):
         path.write_text(json.dumps({**content, **damage}), encoding="utf-8")
         with pytest.raises(StageError, match=r"m.json is no fitted classifier"):

@@ -27,8 +27,18 @@ def dome(x_mm: float, y_mm: float, radius_mm: float):
     )  # fmt: skip
 
 
-def test_a_group_is_what_its_members_are() -> None:
-    members = (dome(-20.0, 5.0, 12.0), dome(15.0, -8.0, 15.0))
+MEMBERS = {
+    "gridded": lambda: (dome(-20.0, 5.0, 12.0), dome(15.0, -8.0, 15.0)),
+    "parts": lambda: tuple(sphere(SphereOptions(), Pose(x, y, 0.0)) for x, y in ((-22.0, 5.0), (18.0, -8.0))),
+    "blocks": lambda: (Block(30, 20, 8, -20, 5, 10), Block(20, 30, 14, 22, -5, -20)),
+}
+
+
+@pytest.mark.parametrize(
+    "kind", ["gridded", *(pytest.param(kind, marks=pytest.mark.thorough) for kind in ("parts", "blocks"))]
+)
+def test_a_group_is_what_its_members_are(kind: str) -> None:
+    members = MEMBERS[kind]()
     group = Group(members)
     together = stripe_centres(CAMERA, LASER, group)
     on_product = together.on_product == 1

@@ -33,6 +33,8 @@ def test_every_file_is_there_unchanged_and_of_its_scene(data: Dataset) -> None:
     assert list(data.faults()) == []
     assert data.description.made_from["scene_sha256"] == Scene.load(DATA).sha256
     assert "roemetry simulate scene.yaml --count 10 --seed 1" in data.description.made_with
+    assert data.calibration_truth()["block"]["height_mm"] == 16.5
+    assert data.sensor.gain_grey_per_electron == 0.0255
     items = list(data.items())
     assert [item.id for item in items] == [f"skein_{number:02d}" for number in range(1, 11)]
     for item in items:
@@ -67,3 +69,5 @@ def test_one_dent_lies_under_a_stripe_and_one_between(data: Dataset) -> None:
     assert between.figures["defect_depth_mm"] >= 2.0
     assert between.figures["defect_seen_mm"] < 0.5
     assert {one.label for one in (under, between)} == {"henkei"}
+    assert truths[1].label == "good"
+    assert truths[1].figures["defect_depth_mm"] == 0.0

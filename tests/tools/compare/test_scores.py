@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from roemetry.records import AMBIGUOUS, UNLABELLED, Frame, Peaks, Reason, StripeMap, StripeTruth
-from roemetry_tools.compare.score import NOT_GRADED, classes_of
+from roemetry_tools.compare.score import NOT_GRADED, classes_of, errors_of
 from roemetry_tools.compare.stripes import (
     by_place,
     nearest,
@@ -162,6 +162,18 @@ def test_truth_of_another_turn_or_size_is_refused(lines: np.ndarray) -> None:
         "truth-other-size",
     ]
     assert isinstance(told[0], Reason) and "turned by 90°" in told[0].text
+
+
+def test_errors_are_those_of_the_closed_forms() -> None:
+    true = np.array([100.0, 200.0, 400.0, 50.0])
+    found = errors_of(true * [1.1, 0.9, 1.0, 1.4], true)
+    assert (found.n, found.bias_pct, found.median_pct) == (4, pytest.approx(10.0), pytest.approx(5.0))
+    assert found.mean_absolute_pct == pytest.approx(15.0)
+    assert found.spread_pct == pytest.approx(math.sqrt((0.0 + 400.0 + 100.0 + 900.0) / 3.0))
+    assert found.rmse == pytest.approx(math.sqrt((100.0 + 400.0 + 0.0 + 400.0) / 4.0))
+    assert (found.min_pct, found.max_pct) == (pytest.approx(-10.0), pytest.approx(40.0))
+    assert math.isnan(errors_of(true[:1], true[:1]).spread_pct)
+    assert errors_of(true[:0], true[:0]) is None
 
 
 def test_classes_are_counted_and_none_is_not_right() -> None:

@@ -12,7 +12,7 @@ import pytest
 from pydantic import BaseModel, Field
 
 from roemetry.config.recipe import Recipe
-from roemetry.errors import ConfigurationError, OutputError
+from roemetry.errors import ConfigurationError, DataError, OutputError
 from roemetry.records import AMBIGUOUS, SATURATED
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.rows import measurements_of
@@ -258,6 +258,14 @@ def test_a_full_disk_leaves_the_recipe_as_it_was(line, monkeypatch: pytest.Monke
     assert path.read_bytes() != before
 
 
+def test_a_recipe_without_frames_is_refused_at_once(line) -> None:
+    path = line()
+    for file in (path.parent / "images").iterdir():
+        file.unlink()
+    with pytest.raises(DataError, match="there is no image here"):
+        Session(path)
+
+
 def test_what_is_packed_comes_out_again(rng: np.random.Generator) -> None:
     arrays = {
         "a": rng.normal(size=(3, 5)).astype(np.float32),
@@ -361,7 +369,9 @@ def test_each_kind_of_option_becomes_its_kind_of_field() -> None:
 
 def test_every_option_of_every_stage_has_a_field_that_explains_itself() -> None:
     registry = discover()
-    for stage in (stage for stage in registry.stages if stage.entry.kind in KINDS):
+    stages = [stage for stage in registry.stages if stage.entry.kind in KINDS]
+    assert {stage.entry.kind for stage in stages} == set(KINDS)
+    for stage in stages:
         options = registry.load(stage).Options
         fields = fields_of(options)
         assert [field["name"] for field in fields] == list(options.model_fields), stage
