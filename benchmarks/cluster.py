@@ -147,9 +147,12 @@ def _compares(folder: Path, rows: int) -> _Work:
 
 
 def _repeat(listed: Path, rows: int) -> None:
-    """Make a list of files or items longer, each under an id of its own."""
-    lines = [json.loads(line) for line in listed.read_text("utf-8").splitlines()]
-    many = (lines[number % len(lines)] | {"id": f"p{number:05d}"} for number in range(rows))
+    """Make a list of files or items longer, those of each product under an id of its own."""
+    products: dict[str, list[dict[str, Any]]] = {}
+    for line in map(json.loads, listed.read_text("utf-8").splitlines()):
+        products.setdefault(line["id"], []).append(line)
+    each = [*products.values()]
+    many = (line | {"id": f"p{k:05d}"} for k in range(rows) for line in each[k % len(each)])
     listed.write_text("".join(json.dumps(line) + "\n" for line in many), "utf-8")
 
 
