@@ -165,7 +165,6 @@ def _crossings(levels: Pixels, level: float, first: int, last: int, lo: int, hi:
 
     Where they do not within `lo` … `hi`, the crossing is put there.
     """
-    # Unsigned, which no index from the end can be.
     whole, from_at, to_at = int(np.ceil(level)), np.uint64(first), np.uint64(last)
     lowest, highest = np.uint64(lo), np.uint64(hi)
     while levels[from_at] < whole and from_at < to_at:
