@@ -28,7 +28,7 @@ def free_port() -> int:
         return listening.getsockname()[1]
 
 
-def wait_for(condition: Callable[[], object], otherwise: str, seconds: float = 60.0) -> None:
+def wait_for(condition: Callable[[], object], otherwise: str, seconds: float = 20.0) -> None:
     until_s = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < until_s, otherwise

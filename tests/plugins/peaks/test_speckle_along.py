@@ -64,6 +64,23 @@ def test_few_rows_say_nothing(rng):
     assert contrast_along(stripes(rng.uniform(0.0, 600.0, (ROWS, 1))), ROWS, UNKNOWN) == 0.0
 
 
+def test_two_materials_have_a_contrast_each(rng):
+    """Twelve lines; in the middle third of the rows of six of them the contrast is three times as high."""
+    y = np.arange(ROWS)[:, None]
+    there = 25.0 + 50.0 * np.arange(12)[None] + 0.02 * y
+    product = (np.abs(y - ROWS / 2) < ROWS / 6) & (np.abs(there - COLUMNS / 2) < 150.0)
+    contrast = np.where(product, 0.24, 0.08)
+    middle = there + contrast * PX_A_CONTRAST * rng.standard_normal(there.shape)
+    s = stripes(middle)
+    found = contrasts_along(s, ROWS, COLUMNS, UNKNOWN)
+    assert found.shape == s.row.shape
+    # Away from the materials' border by a tile and the rows that a difference takes.
+    along, across = np.abs(s.row - ROWS / 2), np.abs(s.middle - COLUMNS / 2)
+    inside, outside = (along < ROWS / 6 - 45) & (across < 110.0), (along > ROWS / 6 + 45) | (across > 200.0)
+    assert np.sqrt(found[inside].mean()) == pytest.approx(0.24, rel=0.15)
+    assert np.sqrt(found[outside].mean()) == pytest.approx(0.08, rel=0.2)
+
+
 def test_speckle_on_the_product_only_is_found(rng):
     """Most of the lines do not scatter but for the sensor's noise, so the image as a whole says none."""
     dark, gain, light = 4.0, 0.05, 50.0

@@ -22,7 +22,7 @@ from roemetry_pinhole.geometry import (
     stripe_rows,
     unknowns_of,
 )
-from roemetry_pinhole.verdict import lifted
+from roemetry_pinhole.verdict import cross_validate, lifted, stripe_offsets
 from tests.plugins.pinhole.solids_seen import assert_derivatives
 
 RIG = SimulatedRig(1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=(-0.2, 0.1, 0.0, 0.0, 0.0), stripes=5, poses=10)
@@ -89,3 +89,14 @@ def test_the_shape_is_found_and_planes_are_right_again(rng) -> None:
     assert found.geometry.bend.range_mm() == pytest.approx(exact.geometry.bend.range_mm(), abs=0.03), "mm"
     taken_for_flat = measured(seen, flat, bend=False).adjusted()
     assert taken_for_flat.corner_std_px > 1.5 * found.corner_std_px
+
+
+def test_held_out_views_know_the_shape(rng) -> None:
+    exact = bowed(shown(RIG, rng), 0.5)
+    seen = noisy(exact, rng, 0.05, 0.1, 0.03)
+    every = measured(seen, exact.geometry, bend=True)
+    found = every.adjusted().geometry
+    held = cross_validate(every, found)
+    assert np.sqrt((held.mark_px**2).mean()) == pytest.approx(0.05, rel=0.2), "px"
+    assert abs(held.height_mm.mean()) < 0.02, "mm"
+    assert np.sqrt((stripe_offsets(found, seen.points)[0] ** 2).mean()) < 0.02, "mm"
