@@ -167,7 +167,7 @@ def _throughput(path: Path, folder: Path, rows: int) -> None:
         made = _cluster(workers) if workers else ()
         executor = Cluster(address) if workers else Processes(count)
         moments: list[tuple[float, float, float]] = []
-        look = partial(_look, moments, made[0].pid if made else None)
+        look = partial(_look, moments, psutil.Process(made[0].pid) if made else None)
         try:
             run_recipe(recipe, folder / f"by-{name}", executor=executor, on_progress=look)
         finally:
@@ -179,9 +179,11 @@ def _throughput(path: Path, folder: Path, rows: int) -> None:
         print(f"| {name} | {1.0 / wall:.1f} | {1e3 * client:.2f} | {1e3 * scheduler:.2f} |", flush=True)
 
 
-def _look(moments: list[tuple[float, float, float]], scheduler: int | None, done: int, of: int) -> None:
+def _look(
+    moments: list[tuple[float, float, float]], scheduler: psutil.Process | None, done: int, of: int
+) -> None:
     """Note the time, and the processor times of this process and of the scheduler's, s."""
-    its = 0.0 if scheduler is None else sum(psutil.Process(scheduler).cpu_times()[:2])
+    its = 0.0 if scheduler is None else sum(scheduler.cpu_times()[:2])
     moments.append((time.perf_counter(), time.process_time(), its))
 
 

@@ -11,7 +11,6 @@ of its own, which says what it took: s by the clock, s of processor time, MB at 
 from __future__ import annotations
 
 import argparse
-import copy
 import json
 import random
 import resource
@@ -78,15 +77,14 @@ def _make(recipe: Path, out: Path, count: int) -> None:
     rng = random.Random(1)
     with record.open("w", encoding="utf-8") as file:
         for number in range(count):
-            row, name = copy.deepcopy(rows[number % len(rows)]), f"p{number:07d}"
-            row |= {"id": f"{name}#1", "acquisition": name, "status": "measured", "absent": {}}
-            for estimate in (row["weight"]["mass_g"], row["volume"]["visible_mm3"]):
-                factor = rng.gauss(1.0, 0.002)
-                estimate["value"] *= factor
-                estimate["interval"] = [factor * bound for bound in estimate["interval"]]
-            written = row
+            name, row = f"p{number:07d}", rows[number % len(rows)]
+            made = row | {"id": f"{name}#1", "acquisition": name, "status": "measured", "absent": {}}
+            for result, key in (("weight", "mass_g"), ("volume", "visible_mm3")):
+                factor, estimate = rng.gauss(1.0, 0.002), row[result][key]
+                value, bounds = factor * estimate["value"], [factor * bound for bound in estimate["interval"]]
+                made[result] = row[result] | {key: estimate | {"value": value, "interval": bounds}}
             if rng.random() < 0.005:
                 why = {"code": rng.choice(_FAULTS), "text": "made to fail"}
-                nothing = dict.fromkeys(("volume", "weight", "grade", "decision"))
-                written = row | nothing | {"status": "failed", "absent": {"source": why}, "reasons": [why]}
-            file.write(json.dumps(written, ensure_ascii=False) + "\n")
+                made |= dict.fromkeys(("volume", "weight", "grade", "decision"))
+                made |= {"status": "failed", "absent": {"source": why}, "reasons": [why]}
+            file.write(json.dumps(made, ensure_ascii=False) + "\n")

@@ -35,18 +35,23 @@ LOCAL = "local"
 QUIET = {
     "distributed.admin.tick.interval": "2s",
     "distributed.admin.tick.limit": "30s",
+    "distributed.admin.system-monitor.interval": "10s",
     "distributed.worker.profile.enabled": False,
     "distributed.worker.memory.monitor-interval": "1s",
 }
 """dask's settings for scheduler and workers that leave the cores to the work.
 
 By default every process looks fifty times a second whether its event loop is late, ten times a second at its
-memory, and a hundred times a second at what its threads are doing: a scheduler and two workers that have
-nothing to do take 96 ms of processor time a second, with these settings 9 ms.
+memory, twice at the machine's, and a hundred times a second at what its threads are doing: a scheduler and
+two workers that have nothing to do take 96 ms of processor time a second, with these settings 9 ms.
 """
 
 _CHUNK_S = 1.0
 """Work that is handed over at once, s: long beside the 10 ms that a chunk costs scheduler and client."""
+_CHUNK_S_LATER = 4.0
+"""The same once a run is long, s: scheduler and client then take half the time a product that they took."""
+_CHUNK_SHARE = 0.05
+"""A chunk's share of the time a run has taken, at most: for so much of it a worker may be idle at the end."""
 _CHUNK_S_PER_THREAD = 0.08
 """Of many threads, a chunk is longer: the client, at 6 of those 10 ms, then works a twelfth of the time."""
 _CHUNK_MAX = 200
@@ -206,7 +211,7 @@ def _refuse_other_software(client: Any) -> None:
 def _in_order(client: Any, address: str, payload: Any, tasks: Tasks[Task]) -> Iterator[Any]:
     """Keep a bounded window of chunks at work, and give their results in the order of the tasks."""
     waiting: deque[tuple[Any, list[Task]]] = deque()
-    coming, together, threads, looked = iter(tasks), 1, 1, -math.inf
+    coming, together, threads, looked, begin = iter(tasks), 1, 1, -math.inf, time.monotonic()
 
     def submit(chunk: list[Task]) -> Any:
         # One value for the scheduler to carry, not a graph of them.
@@ -226,7 +231,8 @@ def _in_order(client: Any, address: str, payload: Any, tasks: Tasks[Task]) -> It
             gathered = client.gather(finished)
         for results, mean_s in gathered:
             waiting.popleft()
-            chunk_s = max(_CHUNK_S, _CHUNK_S_PER_THREAD * threads)
+            later_s = min(_CHUNK_S_LATER, _CHUNK_SHARE * (time.monotonic() - begin))
+            chunk_s = max(_CHUNK_S, later_s, _CHUNK_S_PER_THREAD * threads)
             together = max(1, min(_CHUNK_MAX, math.ceil(chunk_s / max(mean_s, 1e-6))))
             yield from results
         if not gathered and waiting[0][0].status == "error":
