@@ -151,6 +151,8 @@ def repeated(found: Sequence[Peaks | None]) -> list[str]:
         order = order[np.argsort(peaks.amplitude[order])]  # the highest of a row is written last
         x_px[k, peaks.row[order]], stated[k, peaks.row[order]] = peaks.x_px[order], peaks.x_std_px[order]
     kept = np.isfinite(x_px).sum(axis=0) > len(found) // 2
+    if not kept.any():
+        return [number(np.nan, 3), "not stated"]
     away = x_px[:, kept] - np.nanmedian(x_px[:, kept], axis=0)
     away -= np.nanmedian(away, axis=1)[:, None]
     usual = stated[:, kept][np.isfinite(stated[:, kept])]

@@ -12,6 +12,7 @@ It fails where all boards are parallel, which is refused.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -81,10 +82,13 @@ def first_camera(
     least = _POSES_MIN if known is None else least_if_known
     while True:
         if len(views) < least:
+            alike = max(Counter(seen.left_out.values()).values(), default=0)
             raise CalibrationError(
                 f"the board is seen in {len(views)} of {tried} poses; {least} are the least"
                 + reasons(seen.left_out),
-                hint="take ten to twenty poses: all over the image, at all heights, tilted all ways round",
+                hint=f"begin with what is said of {alike} images"
+                if alike > tried / 2
+                else "take ten to twenty poses: all over the image, at all heights, tilted all ways round",
             )
         if not views and known is not None:
             return FirstCamera(known, [], np.empty((0, 3, 3)), np.empty((0, 3)))
@@ -185,11 +189,12 @@ def _rms(found: FirstCamera) -> Floats:
 
 
 def reasons(left_out: dict[str, str]) -> str:
-    """Give a line for each reason, with the names of all images that share it."""
+    """Give a line for each reason, with the names of all images that share it; the commonest first."""
     names: dict[str, list[str]] = {}
     for name, why in left_out.items():
         names.setdefault(why, []).append(name)
-    return "".join(f"\n  {', '.join(those)}: {why}" for why, those in names.items())
+    each = sorted(names.items(), key=lambda one: -len(one[1]))
+    return "".join(f"\n  {', '.join(those)}: {why}" for why, those in each)
 
 
 def by_marks(first: FirstCamera, free: Flags, *, feet: bool = False, bent: Board | None = None) -> Measured:

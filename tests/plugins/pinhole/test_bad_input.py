@@ -132,6 +132,17 @@ def test_images_of_mixed_size_are_refused_by_name(rng, tmp_path: Path) -> None:
     assert "one camera" in (caught.value.hint or "")
 
 
+def test_a_board_described_wrongly_is_what_is_to_be_mended(tmp_path: Path) -> None:
+    """Corners counted where squares are asked for: every image says so, and no pose more would help."""
+    path = written(tmp_path, poses=5)
+    other = {"columns": CHESS.columns + 1, "rows": CHESS.rows + 1}
+    rig = Rig.load(path, sets=[f"board.{key}={value}" for key, value in other.items()])
+    seen = f"{CHESS.columns - 1} × {CHESS.rows - 1} inner corners are seen"
+    with pytest.raises(CalibrationError, match=f"it is another board: {seen}") as caught:
+        calibrate(rig)
+    assert "begin with what is said of" in (caught.value.hint or "")
+
+
 def test_a_stripe_that_is_seen_in_one_pose_only_is_named(tmp_path: Path) -> None:
     shows = {number: range(STRIPES - 1) for number in range(8) if number != 4}
     path = written(tmp_path, stripes=shows)
