@@ -232,24 +232,16 @@ def _may_be_joined(pixels: NDArray[Any], axis: int, least: int, enough: float) -
 
     (rows, columns), line = pixels.shape, pixels.reshape(-1)
     next_ = columns if axis == 0 else 1
-    boundaries = (rows, columns)[axis] - 1
-
-    def apart(far: int) -> NDArray[Any]:
-        """Give by how much pixels differ, in one line: what crosses the ends of rows is not counted."""
-        return np.asarray(cv2.absdiff(line[: -far * next_], line[far * next_ :])).ravel()
-
-    def counted(found: NDArray[np.bool_]) -> Integers:
-        whole = found.view(np.uint8).reshape(rows, columns)
-        sums: Integers = cv2.reduce(whole, 1 - axis, cv2.REDUCE_SUM, dtype=cv2.CV_32S)
-        return sums.ravel()[:boundaries]
-
-    step, steep = apart(1), np.zeros(line.size, np.bool_)
-    np.greater(step, least, out=steep[:-next_])
-    may_be = counted(steep) > enough
-    if may_be.any() and boundaries > _REACH:
-        beyond, inner = cv2.subtract(apart(3), step[next_:-next_]).ravel(), steep[next_ : -2 * next_]
-        inner &= beyond <= step[next_:-next_] >> 1
-        may_be = counted(steep) > enough
+    step, steep = cv2.absdiff(line[:-next_], line[next_:]).ravel(), np.zeros(line.size, np.bool_)
+    np.greater(step, least, out=steep[:-next_])  # across the ends of rows, too: not counted
+    may_be = _per_boundary(steep.reshape(rows, columns), axis)[: pixels.shape[axis] - 1] > enough
+    found = np.flatnonzero(may_be[1:-1]) + 1
+    if found.size:
+        first, last = int(found[0]), int(found[-1])
+        some = np.swapaxes(pixels, 0, axis)[first - 1 : last + 3]  # from one before to two after each
+        step = _steps(some[1:-1], 1)
+        at_once = (step > least) & (cv2.subtract(_steps(some, 3), step) <= step >> 1)
+        may_be[first : last + 1] &= _per_boundary(at_once, 0) > enough
     return may_be
 
 
@@ -292,11 +284,11 @@ def _steps(lines: NDArray[Any], far: int) -> NDArray[Any]:
     return np.asarray(cv2.absdiff(lines[:-far], lines[far:]))
 
 
-def _per_boundary(found: NDArray[np.bool_]) -> Integers:
-    """Count what was found at each boundary between two lines."""
+def _per_boundary(found: NDArray[np.bool_], axis: int = 0) -> Integers:
+    """Count what was found at each boundary between two rows (axis 0) or columns (1)."""
     import cv2
 
-    counted: Integers = cv2.reduce(found.view(np.uint8), 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S)
+    counted: Integers = cv2.reduce(found.view(np.uint8), 1 - axis, cv2.REDUCE_SUM, dtype=cv2.CV_32S)
     return counted.ravel()
 
 
