@@ -301,7 +301,8 @@ def _speckle(rng: np.random.Generator, shape: tuple[int, ...], sensor: Sensor, k
 def _render_laser(
     body: AnyBody, pinhole: Floats, rotation: Floats, projector: Floats, axis: Floats, planes: Floats,
     rows: Floats, fan: Floats, stray: Floats, maps: Floats, texture: Floats, albedo: Floats, below: Floats,
-    picture: Floats, picture_from: Floats, image: Floats, where: Flags, samples: int, step: int,
+    picture: Floats, picture_from: Floats, image: Floats, where: Flags, samples: int,
+    step: int,
 ) -> None:  # fmt: skip
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
     beam, scratch = np.zeros(3), np.zeros(3)
@@ -361,7 +362,8 @@ def _render_laser(
 @kernel
 def _render_plain(
     body: AnyBody, pinhole: Floats, rotation: Floats, lamps: Floats, maps: Floats, texture: Floats,
-    albedo: Floats, picture: Floats, picture_from: Floats, image: Floats, where: Flags, samples: int, step: int,
+    albedo: Floats, picture: Floats, picture_from: Floats, image: Floats, where: Flags, samples: int,
+    step: int,
 ) -> None:  # fmt: skip
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
     beam, scratch = np.zeros(3), np.zeros(3)
