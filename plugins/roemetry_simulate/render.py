@@ -194,7 +194,7 @@ _BEND_GREY = 6.0
 pixel differs from its middle by a 24th of it, here by a quarter of a grey level; noise is one or more."""
 
 
-def _rays_of(image: Floats) -> Floats:
+def _rays_of(image: NDArray[Any]) -> NDArray[Any]:
     """Give the pixels of a first look that rays were cast into, as a view."""
     return image[::_DRAFT_STEP, ::_DRAFT_STEP]
 
