@@ -48,7 +48,7 @@ UNKNOWN = "unknown"
 _NO_INTERVAL = (math.nan, math.nan)
 _PART_ONLY = Reason(
     "model-error-only",
-    "the uncertainty is that of the model alone: the noise of peaks and the calibration come with `draws`",
+    "the uncertainty is that of the model alone: `uncertainty: linear` adds peak noise and calibration",
 )
 CALIBRATION_NOT_STATED = Reason(
     "calibration-model-not-stated",
