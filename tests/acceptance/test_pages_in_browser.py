@@ -224,6 +224,9 @@ def test_a_comparison_prints_and_a_tuning_page_answers(browser: Any, tmp_path: P
             with opened(browser, address, width=width) as page:
                 page.wait_for_selector("body[data-took]")
                 assert_fits(page, address)
+                assert "No product" not in page.locator("#numbers").inner_text()
+                assert page.locator("#profiles-title").inner_text() != ""
+                assert page.locator("#stage").is_hidden() == (name == "belt_scan"), "a scan has no frame"
                 answers = page.get_attribute("body", "data-answers")
                 if name in PATTERNS:
                     page.get_by_label("width_max_px: slider").first.focus()
