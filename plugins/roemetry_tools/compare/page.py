@@ -469,6 +469,8 @@ def bland_altman(
     left = max(_AXIS, _LETTER * max(len(written) for _, written in up.ticks()) + 8.0)
     across = svg.Axis.over(min(p[0] for p in points), max(p[0] for p in points), left + 8.0, _WIDTH - 70.0)
     right = _WIDTH - 64.0
+    # as fine as the axis, as far as there is room
+    digits = 2 if max(len(written.partition(".")[2]) for _, written in up.ticks()) > 1 else 1
     parts = []
     if tolerance_pct is not None:
         band = up(-tolerance_pct) - up(tolerance_pct)
@@ -493,7 +495,7 @@ def bland_altman(
             words = f"{svg.plain(interval.low, 2, True)} to {svg.plain(interval.high, 2, True)} %"
             tall = up(interval.low) - up(interval.high)
             parts.append(svg.box(right + beside, up(interval.high), _BAR, tall, "interval", words, paint))
-        parts.append(svg.text(right + 21.0, at, svg.plain(value, 1, True), "start"))
+        parts.append(svg.text(right + 21.0, at, svg.plain(value, digits, True), "start"))
     for size, difference, product in _some(points, lambda point: point[1]):
         title = f"{product}: {svg.plain(difference, 2, True)} %"
         parts.append(svg.dot(across(size), up(difference), "point", title, paint))
