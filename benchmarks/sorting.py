@@ -22,7 +22,7 @@ from benchmarks.tables import table
 from roemetry.config.dataset import DESCRIPTION, Dataset
 from roemetry.config.recipe import Recipe
 from roemetry.errors import RoemetryError
-from roemetry.records import Estimate, Product, ProductTrace, ProductTruth, Volume, Weight
+from roemetry.records import Estimate, ProductTrace, ProductTruth
 from roemetry.run.pipeline import Pipeline
 from roemetry_shape.grade_table import GradeTable, GradeTableOptions
 
@@ -44,14 +44,20 @@ SETS: dict[str, tuple[str, ...]] = {
     "density, none": ("uncertainty=none", DENSITY),
 }
 QUANTITIES = {"visible_volume_cm3": "visible_mm3", "true_volume_cm3": "true_mm3", "weight_g": "mass_g"}
+"""Names in a grade table, and those of the truth."""
+FEATURES = ("length_mm", "width_mm")
+"""Of a classifier, by the names that the truth's figures have as well."""
 
 
 class Case(NamedTuple):
-    """A measured product and its true value of one quantity, in the unit of the name."""
+    """A measured product of a line and its true value of one quantity, in the unit of the name."""
 
+    line: str
     trace: ProductTrace
     quantity: str
     true: float
+    std: float = math.nan
+    """Standard uncertainty that the grade table states; NaN for none."""
 
 
 def main() -> None:
@@ -65,10 +71,18 @@ def main() -> None:
     rows = []
     for name in given.sets:
         cases = [case for line in given.lines for case in measured(line, SETS[name])]
-        decided, wrong, count = sorted_at_limits(cases, given.cases, given.seed)
         products = len({id(case.trace) for case in cases})
-        rows.append([name, *map(str, (products, count, decided, wrong)), f"{100 * wrong / count:.1f}"])
-    print(table(["options", "products", "cases", "decided", "wrong", "wrong, % of cases"], rows), end="")
+        sizes = [case for case in cases if case.quantity in FEATURES]
+        for what, some in (
+            ("volume, weight", [case for case in cases if case.quantity not in FEATURES]),
+            ("length, width", sizes),
+            ("the same, `std` in the table", told(sizes)),
+        ):
+            decided, wrong, count = sorted_at_limits(some, given.cases, given.seed)
+            share = f"{100 * wrong / count:.1f}"
+            rows.append([name, what, *map(str, (products, count, decided, wrong)), share])
+    heads = ["options", "limits on", "products", "cases", "decided", "wrong", "wrong, % of cases"]
+    print(table(heads, rows), end="")
 
 
 def measured(line: str, sets: Sequence[str]) -> Iterator[Case]:
@@ -85,22 +99,41 @@ def measured(line: str, sets: Sequence[str]) -> Iterator[Case]:
         except RoemetryError:
             continue
         if len(products) == len(truth) == 1:
-            yield from _cases(products[0], truth[0])
+            yield from _cases(line, products[0], truth[0])
 
 
-def _cases(trace: ProductTrace, truth: ProductTruth) -> Iterator[Case]:
+def _cases(line: str, trace: ProductTrace, truth: ProductTruth) -> Iterator[Case]:
     for quantity, name in QUANTITIES.items():
-        if estimate_of(quantity, trace.volume, trace.weight) is not None:
-            yield Case(trace, quantity, getattr(truth, name) / (1000.0 if name != "mass_g" else 1.0))
+        if estimate_of(quantity, trace) is not None:
+            yield Case(line, trace, quantity, getattr(truth, name) / (1000.0 if name != "mass_g" else 1.0))
+    for name in FEATURES:
+        if estimate_of(name, trace) is not None and name in truth.figures:
+            yield Case(line, trace, name, truth.figures[name])
 
 
-def estimate_of(quantity: str, volume: Volume | None, weight: Weight | None) -> Estimate | None:
+def estimate_of(quantity: str, trace: ProductTrace) -> Estimate | None:
     """Give what was measured of a quantity."""
+    volume, weight, grade = trace.volume, trace.weight, trace.grade
+    if quantity in FEATURES:
+        if grade is None or quantity not in grade.features:
+            return None
+        return Estimate(grade.features[quantity], grade.features_std.get(quantity, math.nan))
     if quantity == "weight_g":
         return None if weight is None or math.isnan(weight.mass_g.value) else weight.mass_g
     if volume is None:
         return None
     return volume.true_mm3 if quantity == "true_volume_cm3" else volume.visible_mm3
+
+
+def told(cases: Sequence[Case]) -> list[Case]:
+    """State of each quantity in the table what somebody finds who measures the line's products by hand."""
+    off: dict[tuple[str, str], list[float]] = {}
+    for case in cases:
+        found = estimate_of(case.quantity, case.trace)
+        assert found is not None
+        off.setdefault((case.line, case.quantity), []).append(found.value - case.true)
+    rms = {of: math.sqrt(float(np.mean(np.square(some)))) for of, some in off.items()}
+    return [case._replace(std=rms[case.line, case.quantity]) for case in cases]
 
 
 def sorted_at_limits(cases: Sequence[Case], count: int, seed: int) -> tuple[int, int, int]:
@@ -109,21 +142,22 @@ def sorted_at_limits(cases: Sequence[Case], count: int, seed: int) -> tuple[int,
     each = math.ceil(count / len(cases))
     decided = wrong = 0
     for case in cases:
-        found = estimate_of(case.quantity, case.trace.volume, case.trace.weight)
+        found = estimate_of(case.quantity, case.trace)
         assert found is not None
-        part = max(0.0 if math.isnan(found.std) else found.std, math.hypot(*found.budget.values()))
-        scale = max(part / (1.0 if case.quantity == "weight_g" else 1000.0), 0.01 * case.true)
+        parts = (found.std, math.hypot(*found.budget.values()), case.std)
+        part = max(one for one in parts if not math.isnan(one))
+        scale = max(part / (1000.0 if case.quantity.endswith("_cm3") else 1.0), 0.01 * case.true)
         for limit in case.true + scale * rng.uniform(-3.0, 3.0, each):
-            label = label_at(case.trace.product, case.trace.volume, case.trace.weight, case.quantity, limit)
+            label = label_at(case, limit)
             decided += label != "undecided"
             wrong += label == ("light" if case.true >= limit else "heavy")
     return decided, wrong, each * len(cases)
 
 
-def label_at(
-    product: Product, volume: Volume | None, weight: Weight | None, quantity: str, limit: float
-) -> str:
+def label_at(case: Case, limit: float) -> str:
     """Let a grade table of two classes decide about a product."""
-    classes = [{"label": "heavy", "limits": {quantity: {"at_least": limit}}}, {"label": "light"}]
-    grader = GradeTable(GradeTableOptions.model_validate({"classes": classes}))
-    return grader.decide(product, volume, weight, None).label
+    classes = [{"label": "heavy", "limits": {case.quantity: {"at_least": limit}}}, {"label": "light"}]
+    std = {} if math.isnan(case.std) else {case.quantity: case.std}
+    grader = GradeTable(GradeTableOptions.model_validate({"classes": classes, "std": std}))
+    trace = case.trace
+    return grader.decide(trace.product, trace.volume, trace.weight, trace.grade).label

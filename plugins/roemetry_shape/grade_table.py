@@ -3,8 +3,9 @@
 Model. A table is a list of classes, each with half-open ranges of quantities and the shapes it takes. Going
 down it, a limit is kept or broken only if the value lies off it by more than the guard band, `guard_factor`
 standard uncertainties (the decision rule of ISO 14253-1, at every limit alike); between, it is open. So is
-every limit on a volume or weight whose uncertainty is not stated in full, by an interval or by the table, and
-on a weight for which the visible volume was taken for the true one: a part proves nothing. A product is of
+every limit on a quantity whose uncertainty is not stated in full, by an interval or by the table, and on a
+weight for which the visible volume was taken for the true one: a part proves nothing. What a run knows of a
+feature, such as a length, is a part: noise and calibration, not how the feature is defined. A product is of
 the first class that is kept, if every class before it is broken. A table is looked through before it is used:
 between all its limits lie cells, and each cell must belong to a class, each class to a cell, and two classes
 may share cells only if one holds the other. More than `CELLS_MAX` cells are refused, not searched.
@@ -171,7 +172,7 @@ class GradeTable(Grader[GradeTableOptions]):
             label=UNDECIDED if chosen is None else chosen.label,
             lane=self.options.undecided_lane if chosen is None else chosen.lane,
             possible=tuple(dict.fromkeys(row.label for row in possible)),
-            reasons=(*said, *_not_guarded(found, self.options.guard_factor)),
+            reasons=tuple(said),
         )
 
     def _asked(self, row: GradeClass, found: Quantities) -> tuple[Verdict, str]:
@@ -221,8 +222,10 @@ def _limit(name: str, limits: Limits, found: Quantities, factor: float) -> tuple
     value, std = found.value(name), found.std(name)
     if math.isnan(value):
         return "open", found.why_missing(name)
-    if factor > 0.0 and math.isnan(std) and (known := found.known_part(name)) is not None:
-        return "open", f"{name} is {value:.4g} ± {known:.2g} or more: its uncertainty is not stated in full"
+    if factor > 0.0 and math.isnan(std):
+        known = found.known_part(name)
+        part = f" ± {known:.2g} or more" if known > 0.0 else ""
+        return "open", f"{name} is {value:.4g}{part}: its uncertainty is not stated in full; `std` may say it"
     guard = 0.0 if math.isnan(std) else factor * std
     at_least = -math.inf if limits.at_least is None else limits.at_least
     below = math.inf if limits.below is None else limits.below
@@ -237,15 +240,6 @@ def _limit(name: str, limits: Limits, found: Quantities, factor: float) -> tuple
 def _range(limits: Limits) -> str:
     parts = [] if limits.at_least is None else [f"at least {limits.at_least:g}"]
     return " and ".join(parts + ([] if limits.below is None else [f"below {limits.below:g}"]))
-
-
-def _not_guarded(found: Quantities, factor: float) -> tuple[Reason, ...]:
-    if not found.without_std or factor == 0.0:
-        return ()
-    names = ", ".join(found.without_std)
-    return (
-        Reason("guard-not-stated", f"no uncertainty is stated of {names}: compared without a guard band"),
-    )
 
 
 _AIR_WEIGHED = "visible-taken-for-true"
@@ -274,8 +268,6 @@ class Quantities:
     ----------
     grade
         The shape; None where there is none.
-    without_std
-        Quantities that were asked for and have no uncertainty, in the order in which they were.
     """
 
     def __init__(
@@ -287,7 +279,6 @@ class Quantities:
         stated: Mapping[str, float],
     ) -> None:
         self.grade = grade
-        self.without_std: list[str] = []
         self._stated = stated
         self._estimates = _estimates(volume, weight)
         self._features = {} if product.outline is None else dict(product.outline.features)
@@ -302,28 +293,24 @@ class Quantities:
         return self._features.get(name, math.nan)
 
     def std(self, name: str) -> float:
-        """Give its standard uncertainty: what the run states, else what the table does, else NaN.
+        """Give its standard uncertainty: what the run states in full, else what the table does, else NaN.
 
-        Of a volume or weight a run states the whole where it states an interval; else the table's word
+        Of a volume or weight a run states the whole where it states an interval. Else the table's word
         counts, but for no less than the part that the run knows.
         """
-        stated = self._stated.get(name, math.nan)
-        part = self.known_part(name)
-        if part is not None:
-            estimate = self._estimates[name]
-            return estimate.std if all(map(math.isfinite, estimate.interval)) else max(stated, part)
-        found = self._features_std.get(name, self._features.get(f"{name}_std", math.nan))
-        found = stated if math.isnan(found) else found
-        if math.isnan(found) and name not in self.without_std and not math.isnan(self.value(name)):
-            self.without_std.append(name)
-        return found
-
-    def known_part(self, name: str) -> float | None:
-        """Give what the run knows of the uncertainty of a volume or weight; None of any other quantity."""
         estimate = self._estimates.get(name)
-        if estimate is None:
-            return None
-        return max(0.0 if math.isnan(estimate.std) else estimate.std, math.hypot(*estimate.budget.values()))
+        if estimate is not None and all(map(math.isfinite, estimate.interval)):
+            return estimate.std
+        stated = self._stated.get(name, math.nan)
+        return stated if math.isnan(stated) else max(stated, self.known_part(name))
+
+    def known_part(self, name: str) -> float:
+        """Give what the run knows of the uncertainty of a quantity; 0 for nothing."""
+        if (estimate := self._estimates.get(name)) is not None:
+            parts = [estimate.std, math.hypot(*estimate.budget.values())]
+        else:
+            parts = [self._features_std.get(name, math.nan), self._features.get(f"{name}_std", math.nan)]
+        return max((part for part in parts if not math.isnan(part)), default=0.0)
 
     def why_missing(self, name: str) -> str:
         """Say that a quantity is not there, and what is."""

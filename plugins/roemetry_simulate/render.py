@@ -99,13 +99,10 @@ def _fan_light(
     """Light of one family of planes and of all else."""
     image = np.zeros((rig.camera.height_px, rig.camera.width_px, 3))
     if draft:
-        from scipy.ndimage import maximum_filter
-
         _light(rig, solid, surface, 1, image, step=_DRAFT_STEP)
-        image = _between(image)
-        grey = image @ np.array([1.0, rig.ambient_grey, rig.stray_grey])
-        uneven = maximum_filter(_uneven(grey, _DRAFT_STEP), 3)  # what is between rays has no bend
-        _light(rig, solid, surface, _DRAFT_SAMPLES, image, uneven)
+        grey = _rays_of(image) @ np.array([1.0, rig.ambient_grey, rig.stray_grey])
+        _fill_between(image)
+        _light(rig, solid, surface, _DRAFT_SAMPLES, image, _around(_uneven(grey), image.shape))
     else:
         _light(rig, solid, surface, samples, image)
     return image[..., 0], rig.ambient_grey * image[..., 1] + rig.stray_grey * image[..., 2]
@@ -135,20 +132,27 @@ def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4, *, d
     """Light of an image under the plain light, grey levels, without noise, blur, black level or clipping.
 
     Each sample of a pixel sees another lamp of the ring, and the four pixels of a square see the lamps
-    between. A draft's single ray sees one lamp of sixteen; the mean of neighbours sees all of them.
+    between. A draft's rays see one lamp of sixteen each: of the light, not of what it falls on, the mean over
+    neighbours is taken, which see all of them.
     """
     camera = rig.camera
     image = np.zeros((camera.height_px, camera.width_px))
     if draft:
-        _under_lamps(rig, solid, surface, 1, image, square=4)
         from scipy.ndimage import convolve1d, maximum_filter
 
-        for axis in (0, 1):  # takes out what alternates over four pixels, and keeps what is even
-            image = convolve1d(image, [0.125, 0.25, 0.25, 0.25, 0.125], axis, mode="mirror")
-        uneven = maximum_filter(_uneven(rig.plain_grey * image, 1), 3)  # an edge's middle has no bend
-        _under_lamps(rig, solid, surface, _DRAFT_SAMPLES, image, uneven)
+        look = np.zeros((camera.height_px, camera.width_px, 2))
+        _under_lamps(rig, solid, surface, 1, look, square=4, step=_DRAFT_STEP)
+        albedo, light = np.moveaxis(_rays_of(look), 2, 0)
+        for axis in (0, 1):  # takes out what alternates over four rays, and keeps what is even
+            light = convolve1d(light, [0.125, 0.25, 0.25, 0.25, 0.125], axis, mode="mirror")
+        _rays_of(image)[...] = albedo * light
+        _fill_between(image)
+        uneven = _uneven(rig.plain_grey * albedo * light)
+        # within what the mean makes of a shadow's edge its middle has no bend
+        uneven |= maximum_filter(_uneven(rig.plain_grey * light), 5)
+        _under_lamps(rig, solid, surface, _DRAFT_SAMPLES, image[..., None], _around(uneven, image.shape))
     else:
-        _under_lamps(rig, solid, surface, samples, image)
+        _under_lamps(rig, solid, surface, samples, image[..., None])
     if rig.stray_mm is None:
         return rig.plain_grey * image
     dark = replace(rig, laser=replace(rig.laser, peak_grey=np.zeros(rig.laser.count)))
@@ -159,11 +163,12 @@ def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4, *, d
 
 def _under_lamps(
     rig: Rig, solid: Solid, surface: Surface, samples: int, image: Floats, where: Flags | None = None,
-    *, square: int = 2,
+    *, square: int = 2, step: int = 1,
 ) -> None:  # fmt: skip
-    """Write the light of the ring of lamps into the pixels of `where`, shape (height, width).
+    """Write the light of the ring of lamps into the pixels of `where`, of every `step` rows and columns.
 
-    `square` is the side, px, of the squares within which each pixel sees other lamps.
+    `image` is (height, width, 1); or (height, width, 2) for albedo, and light over albedo. `square` is the
+    side, in `step` px, of the squares within which each pixel sees other lamps.
     """
     camera = rig.camera
     count = square**2 * samples * samples
@@ -176,12 +181,12 @@ def _under_lamps(
     _render_plain(
         solid.body(), camera.packed(), camera.rotation, lamps, _maps(surface), surface.texture,
         _albedo(surface, surface.plain_albedo), *surface.picture_in("plain"),
-        image, np.ones(image.shape, bool) if where is None else where, samples,
+        image, np.ones(image.shape[:2], bool) if where is None else where, samples, step,
     )  # fmt: skip
 
 
 _DRAFT_STEP = 2
-"""A draft's first look at laser light casts one ray into every second pixel of every second row."""
+"""A draft's first look casts one ray into every second pixel of every second row."""
 _DRAFT_SAMPLES = 2
 """Along each side of an uneven pixel in a draft: an edge is right to half a pixel, and the lens blurs it."""
 _BEND_GREY = 6.0
@@ -189,26 +194,33 @@ _BEND_GREY = 6.0
 pixel differs from its middle by a 24th of it, here by a quarter of a grey level; noise is one or more."""
 
 
-def _between(image: Floats) -> Floats:
+def _rays_of(image: NDArray[Any]) -> NDArray[Any]:
+    """Give the pixels of a first look that rays were cast into, as a view."""
+    return image[::_DRAFT_STEP, ::_DRAFT_STEP]
+
+
+def _fill_between(image: Floats) -> None:
     """Fill the pixels between the rays of a first look, (height, width, …), straight from one to the next."""
-    rays = image[::_DRAFT_STEP, ::_DRAFT_STEP]
-    whole = np.repeat(np.repeat(rays, 2, axis=0), 2, axis=1)[: image.shape[0], : image.shape[1]]
-    columns = whole[:, 1:-1:2]
-    columns += 0.5 * (whole[:, 2::2] - columns)
-    rows = whole[1:-1:2]
-    rows += 0.5 * (whole[2::2] - rows)
-    return np.ascontiguousarray(whole)
+    for whole in (np.swapaxes(image[::_DRAFT_STEP], 0, 1), image):
+        whole[1:-1:2] = 0.5 * (whole[:-2:2] + whole[2::2])
+        if len(whole) % 2 == 0:
+            whole[-1] = whole[-2]
 
 
-def _uneven(grey: Floats, step: int) -> Flags:
-    """Find the pixels of a first look, (height, width), whose neighbours do not tell them: edges, stripes.
-
-    Where rays are `step` px apart and the rest lies straight between them, bends stand at the rays, `step`
-    times as large.
-    """
+def _uneven(grey: Floats) -> Flags:
+    """Find the rays of a first look, (row, column), whose neighbours do not tell them: edges, stripes."""
     from scipy.ndimage import laplace
 
-    return np.asarray(np.abs(laplace(grey, mode="nearest")) > _BEND_GREY / step)
+    return np.asarray(np.abs(laplace(grey, mode="nearest")) > _BEND_GREY)
+
+
+def _around(rays: Flags, shape: tuple[int, ...]) -> Flags:
+    """Give the pixels, (height, width), of these rays and next to them."""
+    from scipy.ndimage import maximum_filter
+
+    pixels = np.zeros(shape[:2], np.bool_)
+    _rays_of(pixels)[...] = rays
+    return np.asarray(maximum_filter(pixels, 2 * _DRAFT_STEP - 1))
 
 
 def render(
@@ -226,9 +238,9 @@ def render(
         lens = partial(defocused, camera=rig.camera, focus=focus, depth_mm=depths_mm(rig.camera, solid))
     if plain:
         steady = plain_light(rig, solid, surface, samples, draft=draft)
-        return expose(np.zeros_like(steady), steady, rig.sensor, seed, lens)
+        return expose(np.zeros_like(steady), steady, rig.sensor, seed, lens, draft=draft)
     laser, ambient = laser_light(rig, solid, surface, samples, draft=draft)
-    return expose(laser, ambient, rig.sensor, seed, lens)
+    return expose(laser, ambient, rig.sensor, seed, lens, draft=draft)
 
 
 def as_stored(pixels: NDArray[Any], turn_deg: int) -> NDArray[Any]:
@@ -245,33 +257,43 @@ def _albedo(surface: Surface, mean: tuple[float, float]) -> Floats:
 
 
 def expose(
-    laser: Floats, steady: Floats, sensor: Sensor, seed: int, lens: Callable[[Floats], Floats] | None = None
-) -> NDArray[Any]:
+    laser: Floats, steady: Floats, sensor: Sensor, seed: int, lens: Callable[[Floats], Floats] | None = None,
+    *, draft: bool = False,
+) -> NDArray[Any]:  # fmt: skip
     """Take a picture of light in grey levels without noise: uint8, or uint16 over 8 bits.
 
-    The same seed gives the same bytes; `lens` blurs the image before the sensor's own blur.
+    The same seed gives the same bytes; `lens` blurs the image before the sensor's own blur. A draft's shot
+    noise is normal, with the variance of Poisson's: of 20 electrons and read noise, a skewness below 0.2.
     """
     rng = np.random.default_rng([seed, 29])
-    grain = _speckle(rng, laser.shape, sensor) if sensor.speckle_contrast > 0.0 else np.ones(laser.shape)
-    light = laser * grain + steady
+    kind: Any = np.float32 if draft else np.float64
+    light = steady.astype(kind)
+    if sensor.speckle_contrast > 0.0 and (not draft or laser.any()):
+        light += _speckle(rng, laser.shape, sensor, kind) * laser
+    else:
+        light += laser
     light = blurred(light if lens is None else lens(light), sensor.psf_sigma_px)
-    electrons = rng.poisson(np.maximum(light, 0.0) / sensor.grey_per_electron)
+    electrons = np.maximum(light, 0.0) / kind(sensor.grey_per_electron)
+    if draft:
+        electrons += np.sqrt(electrons) * rng.standard_normal(light.shape, kind)
+    else:
+        electrons = rng.poisson(electrons)
     if math.isfinite(sensor.full_well_e):
         electrons = np.minimum(electrons, int(sensor.full_well_e))
-    grey = electrons * sensor.grey_per_electron + sensor.black_level_grey
-    grey += sensor.read_noise_grey * rng.standard_normal(laser.shape)
+    grey = electrons * kind(sensor.grey_per_electron) + kind(sensor.black_level_grey)
+    grey += kind(sensor.read_noise_grey) * rng.standard_normal(laser.shape, kind)
     white = 2**sensor.bit_depth - 1
     return np.clip(np.floor(grey + 0.5), 0, white).astype(np.uint8 if sensor.bit_depth <= 8 else np.uint16)
 
 
-def _speckle(rng: np.random.Generator, shape: tuple[int, ...], sensor: Sensor) -> Floats:
+def _speckle(rng: np.random.Generator, shape: tuple[int, ...], sensor: Sensor, kind: Any) -> Floats:
     """Return a positive field of mean 1 (log-normal) with the sensor's speckle contrast."""
-    noise = rng.standard_normal(shape)
+    noise = rng.standard_normal(shape, kind)
     if sensor.speckle_sigma_px > 0.0:
         noise = blurred(noise, sensor.speckle_sigma_px)
         noise /= noise.std()
-    spread = np.sqrt(np.log1p(sensor.speckle_contrast**2))
-    grain: Floats = np.exp(spread * noise - 0.5 * spread**2)
+    spread = kind(np.sqrt(np.log1p(sensor.speckle_contrast**2)))
+    grain: Floats = np.exp(spread * noise - kind(0.5) * spread**2)
     return grain
 
 
@@ -279,7 +301,8 @@ def _speckle(rng: np.random.Generator, shape: tuple[int, ...], sensor: Sensor) -
 def _render_laser(
     body: AnyBody, pinhole: Floats, rotation: Floats, projector: Floats, axis: Floats, planes: Floats,
     rows: Floats, fan: Floats, stray: Floats, maps: Floats, texture: Floats, albedo: Floats, below: Floats,
-    picture: Floats, picture_from: Floats, image: Floats, where: Flags, samples: int, step: int,
+    picture: Floats, picture_from: Floats, image: Floats, where: Flags, samples: int,
+    step: int,
 ) -> None:  # fmt: skip
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
     beam, scratch = np.zeros(3), np.zeros(3)
@@ -340,19 +363,22 @@ def _render_laser(
 def _render_plain(
     body: AnyBody, pinhole: Floats, rotation: Floats, lamps: Floats, maps: Floats, texture: Floats,
     albedo: Floats, picture: Floats, picture_from: Floats, image: Floats, where: Flags, samples: int,
+    step: int,
 ) -> None:  # fmt: skip
     point, normal, view = np.zeros(3), np.zeros(3), np.zeros(3)
     beam, scratch = np.zeros(3), np.zeros(3)
     origin, reach = pinhole[:3].copy(), body.reach
     share = 1.0 / (samples * samples)
+    apart = image.shape[2] == 2
     first = lamps[0, 0]
     level = first[2] / math.sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
     square = round(math.sqrt(lamps.shape[1]))
-    for row in range(where.shape[0]):
-        for column in range(where.shape[1]):
+    for row in range(0, where.shape[0], step):
+        for column in range(0, where.shape[1], step):
             if not where[row, column]:
                 continue
-            image[row, column] = 0.0
+            for m in range(image.shape[2]):
+                image[row, column, m] = 0.0
             for k in range(samples * samples):
                 x_px = column + (k % samples + 0.5) / samples - 0.5
                 y_px = row + (k // samples + 0.5) / samples - 0.5
@@ -366,15 +392,21 @@ def _render_plain(
                     normal_at(body, on, point, normal)
                     if picture.size > 1:
                         grey *= picture_at(picture, picture_from, point)
-                lamp = lamps[k, square * (row % square) + column % square]
+                lamp = lamps[k, square * (row // step % square) + column // step % square]
                 cosine = sees_in(body, reach, point, normal, lamp, beam, scratch)
                 light = 0.25 * (0.5 + 0.5 * normal[2]) * grey
                 if cosine > 0.0:
                     gloss = 0.5 * gloss_at(albedo, maps, texture, point, on)
                     light += 0.75 * (grey * cosine / level + specular(gloss, albedo[4], normal, beam, view))
-                image[row, column] += share * light
+                if apart:
+                    image[row, column, 0] += share * grey
+                    image[row, column, 1] += share * light / max(grey, _BLACKEST)
+                else:
+                    image[row, column, 0] += share * light
 
 
+_BLACKEST = 1e-6
+"""Albedo below which light over albedo is not told: such a place gives back none."""
 _REACH = 5.0
 """Deviations from a plane's middle beyond which its light is left out."""
 

@@ -112,7 +112,7 @@ class RayCasterOptions(StageOptions):
     samples: int = Field(default=4, ge=4, le=16, description="samples along each side of a pixel")
     draft: bool = Field(
         default=False,
-        description="a quick look, in a tenth of the time: a ray for one to four pixels, four at edges",
+        description="a quick look, in a tenth of the time: a ray for four pixels, four for a pixel at edges",
     )
 
     @field_validator("camera")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
@@ -28,6 +29,7 @@ from roemetry.records import (
     TargetView,
 )
 from roemetry.records.calibration import Calibration
+from roemetry.run.pace import OnProgress, Pace, silent
 from roemetry.run.preprocess import prepare
 from roemetry.run.scan import gather
 from roemetry.run.stage_errors import wrap_stage_error
@@ -36,8 +38,11 @@ from roemetry.stages.kinds import check_result_type
 from roemetry.stages.registry import Registry, discover
 
 
-def calibrate(rig: Rig, *, registry: Registry | None = None) -> Calibration:
+def calibrate(rig: Rig, *, registry: Registry | None = None, on_progress: OnProgress = silent) -> Calibration:
     """Run the rig's extractor over its images and hand the peaks to its calibrator.
+
+    `on_progress` is called with (steps done, of how many, time that the others will take, s): an image is a
+    step, and the adjustment.
 
     Raises
     ------
@@ -49,14 +54,20 @@ def calibrate(rig: Rig, *, registry: Registry | None = None) -> Calibration:
     registry = registry or discover()
     if (base := base_of(rig)) is not None:
         return with_motion(rig, base, registry)
-    calibration = _calibrated(rig, rig.calibrator.make(), *observe(rig, registry))
+    steps = _Steps(rig, on_progress)
+    calibration = _calibrated(rig, rig.calibrator.make(), *observe(rig, registry, steps.done))
+    steps.done(_ADJUSTED)
     return calibration if rig.file.scan is None else with_motion(rig, calibration, registry)
 
 
 def calibrate_with_evidence(
-    rig: Rig, *, registry: Registry | None = None, doctor: Path | None = None
+    rig: Rig,
+    *,
+    registry: Registry | None = None,
+    doctor: Path | None = None,
+    on_progress: OnProgress = silent,
 ) -> tuple[Calibration, Evidence]:
-    """Calibrate, and give what the calibrator can show for it; raises as `calibrate`.
+    """Calibrate, and give what the calibrator can show for it; raises and tells progress as `calibrate`.
 
     `doctor` is a page (HTML) to write of each image, what was found in it and why it was or was not used; it
     is written where the calibrator refuses as well.
@@ -64,12 +75,15 @@ def calibrate_with_evidence(
     registry = registry or discover()
     if (base := base_of(rig)) is not None:
         return with_motion(rig, base, registry), Evidence()
-    observed, hashes = observe(rig, registry)
+    steps = _Steps(rig, on_progress, evidence=True)
+    observed, hashes = observe(rig, registry, steps.done)
     calibrator = rig.calibrator.make()
     refusal = ""
     try:
         calibration = _calibrated(rig, calibrator, observed, hashes)
+        steps.done(_ADJUSTED)
         evidence = calibrator.evidence(observed, calibration)
+        steps.done(_SHOWN)
         if rig.file.scan is not None:
             calibration = with_motion(rig, calibration, registry)
     except CalibrationError as error:
@@ -132,11 +146,41 @@ def calibrate_camera(rig: Rig, path: Path, *, registry: Registry | None = None) 
     return found
 
 
-def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str]]:
+class _Steps:
+    """Counts what is done of a calibration."""
+
+    def __init__(self, rig: Rig, on_progress: OnProgress, *, evidence: bool = False) -> None:
+        kinds = Counter(shows for _, shows, paths in _groups(rig) for _ in paths)
+        kinds.update([_ADJUSTED, *([_SHOWN] if evidence else [])])
+        self._pace, self._tell = Pace(kinds, cost=_COST), on_progress
+        self._done, self._of = 0, kinds.total()
+
+    def done(self, kind: str) -> None:
+        self._pace.done(kind)
+        self._done += 1
+        self._tell(self._done, self._of, self._pace.left_s())
+
+
+_ADJUSTED, _SHOWN = "adjusted", "shown"
+_COST = {_ADJUSTED: 40.0, _SHOWN: 40.0}
+"""What the steps of a calibration cost in comparison: reading an image costs 1."""
+
+
+def _groups(rig: Rig) -> list[tuple[int, str, list[Path]]]:
+    """Give (number of the board, what is shown, the images of it) for all that the rig's file names."""
+    groups = [(0, shows, list(paths)) for shows, paths in rig.images.items()]
+    for further, (_, images) in enumerate(rig.more_boards, start=1):
+        groups += [(further, shows, list(paths)) for shows, paths in images.items()]
+    return groups
+
+
+def observe(
+    rig: Rig, registry: Registry, on_read: Callable[[str], None] = lambda shows: None
+) -> tuple[CalibrationSet, dict[str, str]]:
     """Read a rig's images and find their peaks; give what the calibrator receives, and the images' hashes.
 
     A laser image of a board has its peaks from the difference to its laser-off partner, where there is one
-    in the same light.
+    in the same light. `on_read` is called after each image with what it shows, as `Rig.images` names it.
 
     Raises
     ------
@@ -151,9 +195,7 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
     hashes: dict[str, str] = {}
     plain: dict[tuple[int, str, str], Frame] = {}
     first: Frame | None = None
-    groups = [(0, *one) for one in rig.images.items()]
-    for further, (_, images) in enumerate(rig.more_boards, start=1):
-        groups += [(further, *one) for one in images.items()]
+    groups = _groups(rig)
     count = Counter(path.name for *_, paths in groups for path in paths)
     for board, shows, paths in groups:
         target = shows.removesuffix("_laser")
@@ -181,6 +223,7 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
                 plain[board, target, pose] = read
                 shown = replace(frame, role="plain")
                 observations.append(Observation(target, shown, _none(frame), pose, board))
+                on_read(shows)
                 continue
             partner = plain.get((board, target, pose))
             if partner is not None and _other_scene(partner, read):
@@ -189,6 +232,7 @@ def observe(rig: Rig, registry: Registry) -> tuple[CalibrationSet, dict[str, str
             with wrap_stage_error("extractor", rig.extractor):
                 peaks = check_result_type("extractor", extractor.extract(light))
             observations.append(Observation(target, frame, peaks, pose, board))
+            on_read(shows)
     if not observations:
         raise CalibrationError(
             f"{rig.path}: there are no images to calibrate from", hint="name them in `images`"

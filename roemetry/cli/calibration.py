@@ -63,6 +63,7 @@ def calibrate(
 ) -> None:
     """Make a calibration from images of known objects and check it, or refuse it with the reason."""
     from roemetry.calibrating import calibrate_with_evidence, default_path
+    from roemetry.cli.progress import progress
     from roemetry.config.rig import Rig
     from roemetry.errors import CalibrationError
 
@@ -70,7 +71,8 @@ def calibrate(
     if camera_only:
         _camera(loaded, out or loaded.path.with_name("camera.yaml"))
         return
-    calibration, evidence = calibrate_with_evidence(loaded, doctor=doctor)
+    with progress("calibrating", quiet=False) as shown:
+        calibration, evidence = calibrate_with_evidence(loaded, doctor=doctor, on_progress=shown)
     path = out or default_path(loaded)
     if not evidence.usable:
         if not accept_poor:

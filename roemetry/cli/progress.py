@@ -5,35 +5,48 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import timedelta
+from typing import Protocol
 
 COMPILING = "compiling kernels, first run only"
 """What the bar of `warm_up` says."""
 
 
+class Move(Protocol):
+    """Moves a bar to (done, of how many); `left_s` is the time left, s, where it is known."""
+
+    def __call__(self, done: int, of: int, left_s: float = ..., /) -> None:
+        """Move it."""
+        ...
+
+
 @contextmanager
-def progress(what: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """Show a bar while the block runs; gives the function that moves it to (done, of how many).
+def progress(what: str, *, quiet: bool) -> Iterator[Move]:
+    """Show a bar while the block runs; gives the function that moves it.
 
     What is done at the first call was done before, and does not count for the time that is left. There is no
     bar when `quiet` or when the error stream is no terminal, as in a file of a log.
     """
     if quiet or not sys.stderr.isatty():
-        yield lambda done, of: None
+        yield lambda done, of, left_s=math.nan, /: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
     from rich.text import Text
 
     began, before = time.monotonic(), math.nan
+    told_s, told_at = math.nan, began
 
     class TimeLeft(ProgressColumn):
-        """Of all that was done so far: a single slow step does not bring it to nothing."""
+        """As told, or else of all that was done: a single slow step does not bring it to nothing."""
 
         def render(self, task: Task) -> Text:
-            left = time_left_s(time.monotonic() - began, task.completed - before, task.remaining or 0.0)
+            now = time.monotonic()
+            left = max(told_s - (now - told_at), 0.0)
+            if math.isnan(told_s):
+                left = time_left_s(now - began, task.completed - before, task.remaining or 0.0)
             return Text("" if math.isnan(left) else f"{timedelta(seconds=round(left))} left")
 
     class Counted(MofNCompleteColumn):
@@ -42,8 +55,9 @@ def progress(what: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
         def render(self, task: Task) -> Text:
             return Text("") if task.total is None else super().render(task)
 
-    def move(done: int, of: int) -> None:
-        nonlocal before
+    def move(done: int, of: int, left_s: float = math.nan, /) -> None:
+        nonlocal before, told_s, told_at
+        told_s, told_at = left_s, time.monotonic()
         before = float(done) if math.isnan(before) else before
         bar.update(task, completed=done, total=of)
 

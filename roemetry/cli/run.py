@@ -94,8 +94,8 @@ def run(
         loaded = Recipe.load(recipe if cluster is None else recipe.absolute(), sets=changes)
         folder = out or next_folder(loaded.path)
         try:
-            with progress(COMPILING, quiet=as_json) as on_progress:
-                warm_up(loaded.stages, on_progress)
+            with progress(COMPILING, quiet=as_json) as compiled:
+                warm_up(loaded.stages, compiled)
             with _stopped_by_signals() as stop_if_asked, progress("measuring", quiet=as_json) as show:
 
                 def on_progress(done: int, of: int) -> None:

@@ -19,6 +19,8 @@ _LINE_MAX = 200
 """Characters of a record's line."""
 _TEXT_MAX = 60
 """Characters of a text within it."""
+_CELLS_MAX = 24
+"""Points along each side of a picture of a surface."""
 _DOT_ROWS = 2
 """Every second row's peaks are drawn: at one dot a row, neighbouring dots hide the stripe."""
 
@@ -91,14 +93,13 @@ def picture_of_surface(xyz_mm: Any) -> str:
     xyz_mm : ndarray, shape (station, point, 3)
         As `Surface.xyz_mm`; cells with NaN are left out.
     """
-    rows, columns = (np.unique(np.linspace(0, n - 1, min(n, 24)).astype(int)) for n in xyz_mm.shape[:2])
-    xyz = xyz_mm[np.ix_(rows, columns)]
+    xyz = thinned(xyz_mm)
     right, up = np.array([0.88, -0.47, 0.0]), np.array([0.26, 0.49, 0.83])
     near = np.cross(right, up)
     cells = [
         np.array([xyz[i, k], xyz[i, k + 1], xyz[i + 1, k + 1], xyz[i + 1, k]])
-        for i in range(len(rows) - 1)
-        for k in range(len(columns) - 1)
+        for i in range(xyz.shape[0] - 1)
+        for k in range(xyz.shape[1] - 1)
     ]
     cells = sorted((cell for cell in cells if np.isfinite(cell).all()), key=lambda cell: (cell @ near).sum())
     if not cells:
@@ -113,6 +114,18 @@ def picture_of_surface(xyz_mm: Any) -> str:
     )
     box = " ".join(f"{value:.1f}" for value in (*low, *(high - low)))
     return f"<br><svg role='img' aria-label='surface' width='420' viewBox='{box}'>{shapes}</svg>"
+
+
+def thinned(xyz_mm: Any) -> Any:
+    """Leave of points, mm, (slice, point, 3), what a small picture needs: few, and of where there are any."""
+    seen = np.isfinite(xyz_mm).all(axis=2)
+    chosen = []
+    for axis in (1, 0):
+        some = np.flatnonzero(seen.any(axis=axis))
+        first, last = (int(some[0]), int(some[-1])) if some.size else (0, -1)
+        count = min(last - first + 1, _CELLS_MAX)
+        chosen.append(np.unique(np.linspace(first, last, count).astype(int)))
+    return xyz_mm[np.ix_(*chosen)]
 
 
 def picture_of_stripes(pixels: Any, row: Any, x_px: Any, stripe: Any) -> str:

@@ -81,7 +81,8 @@ class Measurement(Shown):
     """Hashes of recipe, calibration and image, and version of every plugin that had a part."""
     decision: Decision | None = None
     seen_xyz_mm: Any = field(default=None, repr=False)
-    """Points that were seen, mm, (stripe, row, 3), from `Recipe.measure` alone: what a notebook draws."""
+    """Points that were seen, mm, (slice, point, 3), which a notebook draws: all from `Recipe.measure`, a
+    coarse grid of them from `Recipe.run`, None from a record."""
 
     @property
     def all_reasons(self) -> tuple[Reason, ...]:

@@ -16,7 +16,7 @@ from roemetry.records import Acquisition, Frame, Measurement, Reason, Role, Trac
 from roemetry.run.batch import measure_all
 from roemetry.run.control_chart import calibration_doubts
 from roemetry.run.pipeline import Pipeline
-from roemetry.run.rows import measurements_of
+from roemetry.run.rows import measurements_of, seen_of
 from roemetry.run.workers import Processes
 
 
@@ -47,7 +47,8 @@ class Recipe(CheckedRecipe):
         Yields
         ------
         Measurement
-            One for each product, the same as a line of the record; one that says why where there is none.
+            One for each product, the same as a line of the record, with a coarse grid of its points for
+            notebooks; one that says why where there is none.
 
         Raises
         ------
@@ -55,9 +56,10 @@ class Recipe(CheckedRecipe):
             The source has nothing.
         """
         references = self.references()
-        for lines, _ in measure_all(self, references, Processes(jobs), debug):
-            for line in lines:
-                yield Measurement.from_json(line)
+        for found in measure_all(self, references, Processes(jobs), debug, pictures=True):
+            pictures = found.pictures or [None] * len(found.lines)
+            for line, seen in zip(found.lines, pictures, strict=True):
+                yield replace(Measurement.from_json(line), seen_xyz_mm=seen)
 
     def measure(
         self,
@@ -95,12 +97,8 @@ class Recipe(CheckedRecipe):
         """
         trace = self.trace(laser, plain=plain, dark=dark, before=before, name=name, surfaces=False)
         rows = measurements_of(trace, self, self.hashes, self._doubts)
-        if len(rows) != len(trace.products):
-            return rows
-        return tuple(
-            replace(row, seen_xyz_mm=one.product.profiles.xyz_mm)
-            for row, one in zip(rows, trace.products, strict=True)
-        )
+        each = zip(rows, seen_of(trace, rows), strict=True)
+        return tuple(replace(row, seen_xyz_mm=seen) for row, seen in each)
 
     def trace(
         self,

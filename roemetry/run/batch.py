@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from roemetry.config.recipe import Recipe
@@ -26,16 +26,26 @@ from roemetry.errors import FAULTS, DataError, RoemetryError
 from roemetry.io.files import LineFile, exclusive, make_folder, sha256_of, write_whole
 from roemetry.io.remote import Url, read_ahead
 from roemetry.records import AcquisitionReference, Reason, Trace
+from roemetry.records.arrays import Floats
+from roemetry.records.display import thinned
 from roemetry.run.executors import Executor, Lost
 from roemetry.run.parts import INDEX, Parts, copied, in_bucket
 from roemetry.run.pipeline import Pipeline, frame_of
 from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, read_record, rows_of, summed_up
-from roemetry.run.rows import failed, measurements_of
+from roemetry.run.rows import failed, measurements_of, seen_of
 from roemetry.run.workers import Processes
 from roemetry.stages import Run
 
-Measured = tuple[list[str], Mapping[str, float]]
-"""An acquisition's lines of the record, and the seconds its stages took."""
+
+class Measured(NamedTuple):
+    """What became of an acquisition."""
+
+    lines: list[str]
+    """Its lines of the record."""
+    seconds: Mapping[str, float]
+    """By stage kind, the time it took, s."""
+    pictures: Sequence[Floats | None] = ()
+    """For each line, what `thinned` leaves of the points that were seen; empty where none were asked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,12 +151,12 @@ def _run(
         try:
             with LineFile(folder / RECORD) as record:
                 measured = measure_all(recipe, to_do, executor, debug, kept)
-                for reference, (lines, took) in zip(to_do, measured, strict=True):
-                    record.append("\n".join(lines))
+                for reference, found in zip(to_do, measured, strict=True):
+                    record.append("\n".join(found.lines))
                     finished += 1
                     if parts is not None:
-                        parts.grown(reference.id, len(lines))
-                    for stage, value in took.items():
+                        parts.grown(reference.id, len(found.lines))
+                    for stage, value in found.seconds.items():
                         seconds.setdefault(stage, []).append(value)
                     on_progress(finished, len(references))
         except BaseException:
@@ -234,15 +244,17 @@ def measure_all(
     executor: Executor,
     debug: bool,
     kept: KeptTraces | None = None,
+    *,
+    pictures: bool = False,
 ) -> Iterator[Measured]:
     """Give each acquisition's lines, in the order of the source, with the seconds its stages took.
 
-    Those of its traces that are to be `kept` are put there.
+    Those of its traces that are to be `kept` are put there; `pictures` come with the lines where asked for.
     """
-    for found in executor.in_order(_Worker, (recipe, debug, kept), references):
+    for found in executor.in_order(_Worker, (recipe, debug, kept, pictures), references):
         if isinstance(found, Lost):
             why = Reason("process-died", found.why)
-            yield [failed(found.task.id, "source", why, recipe.hashes).to_json()], {}
+            yield Measured([failed(found.task.id, "source", why, recipe.hashes).to_json()], {})
         else:
             yield found
 
@@ -250,8 +262,9 @@ def measure_all(
 class _Worker:
     """Reads, traces and writes down one acquisition at a time."""
 
-    def __init__(self, recipe: Recipe, debug: bool, kept: KeptTraces | None) -> None:
+    def __init__(self, recipe: Recipe, debug: bool, kept: KeptTraces | None, pictures: bool = False) -> None:
         self._recipe = recipe
+        self._pictures = pictures
         self._source = recipe.source.make()
         self._pipeline = Pipeline(recipe, debug=debug)
         self._debug = debug
@@ -281,13 +294,17 @@ class _Worker:
             ours = isinstance(error, RoemetryError | OSError)
             said = str(error) if ours else f"the source failed with {type(error).__name__}: {error}"
             why = Reason("unreadable", said)
-            return [failed(reference.id, "source", why, self._hashes).to_json()], {}
+            return Measured([failed(reference.id, "source", why, self._hashes).to_json()], {})
         shown = self._kept is not None and reference.id in self._kept.acquisitions
         trace = self._pipeline.trace(acquisition, surfaces=shown)
         if self._kept is not None:
             self._kept.put(trace)
         rows = measurements_of(trace, self._recipe, self._hashes | hashes, self._doubts)
-        return [row.to_json() for row in rows], trace.seconds
+        return Measured(
+            [row.to_json() for row in rows],
+            trace.seconds,
+            [None if xyz is None else thinned(xyz) for xyz in seen_of(trace, rows)] if self._pictures else (),
+        )
 
 
 def _refuse_changed(reference: AcquisitionReference) -> None:

@@ -40,13 +40,15 @@ COVERAGE_FACTOR = 1.959964
 """Half width of a 95 % interval in standard deviations of a normal distribution."""
 FEW_DRAWS = 20
 """With fewer, a standard deviation is itself uncertain by a sixth and more."""
+_TOO_FEW_DRAWS = 3
+"""So many tell nothing: Student's distribution has no standard deviation for them."""
 ENOUGH_FOR_QUANTILES = 1000
 """From so many draws on the interval's ends are quantiles: 25 draws lie beyond each."""
 UNKNOWN = "unknown"
 _NO_INTERVAL = (math.nan, math.nan)
 _PART_ONLY = Reason(
     "model-error-only",
-    "the uncertainty is that of the model alone: the noise of peaks and the calibration come with `draws`",
+    "the uncertainty is that of the model alone: `uncertainty: linear` adds peak noise and calibration",
 )
 CALIBRATION_NOT_STATED = Reason(
     "calibration-model-not-stated",
@@ -109,6 +111,8 @@ def with_uncertainty(
     if grade is not None and together:
         held = [probability_of(result, grade.label) for result in together]
         sure = math.nan if grade.label == UNKNOWN else float(np.mean(held))
+        if all(_is_counted(result, grade.label) for result in together):
+            sure = min(sure, len(held) / (len(held) + 1.0))
         spread = {} if unstated.points else _features_std(grade.features, together)
         grade = replace(grade, probability=sure, features_std=spread)
     return replace(trace, volume=volume, weight=weight, grade=grade, height_max_mm=height)
@@ -151,6 +155,11 @@ def probability_of(result: Result, label: str) -> float:
     return 1.0 if math.isnan(result.probability) else result.probability
 
 
+def _is_counted(result: Result, label: str) -> bool:
+    """Tell a draw that says yes or no: n of them that agree make a label no surer than n/(n + 1)."""
+    return math.isnan(result.probability) and f"probability_{label}" not in result.features
+
+
 def _largest(
     found_mm: float, together: list[Result], alone: Mapping[str, list[Result]], *, stated: bool
 ) -> Estimate:
@@ -184,9 +193,10 @@ def lift_share(lift_mm: float) -> float:
 
 
 def _features_std(features: Mapping[str, float], together: list[Result]) -> dict[str, float]:
-    """Give the standard deviation of each feature over the draws; of one that draws lack, none."""
+    """Give the standard deviation of each feature over the draws; none of one that they lack."""
     drawn = {name: _sound([result.features.get(name, math.nan) for result in together]) for name in features}
-    return {name: _mean_and_std(good)[1] for name, good in drawn.items() if good is not None}
+    known = {name: good for name, good in drawn.items() if good is not None and good.size > _TOO_FEW_DRAWS}
+    return {name: _mean_and_std(good)[1] * widening(good.size) for name, good in known.items()}
 
 
 def _sound(drawn: list[float]) -> Floats | None:
@@ -235,7 +245,7 @@ def widening(draws: int) -> float:
     """
     if draws >= FEW_DRAWS:
         return 1.0
-    return math.sqrt((draws - 1.0) / (draws - 3.0)) if draws > 3 else math.nan
+    return math.sqrt((draws - 1.0) / (draws - 3.0)) if draws > _TOO_FEW_DRAWS else math.nan
 
 
 def _few(draws: int) -> tuple[Reason, ...]:
@@ -244,7 +254,11 @@ def _few(draws: int) -> tuple[Reason, ...]:
         return ()
     share = 1.0 / math.sqrt(2.0 * (draws - 1))
     said = f"{draws} draws tell a standard uncertainty to {share:.0%} only: take more"
-    return (Reason("few-draws", said if draws > 3 else f"{draws} draws tell no uncertainty: take more"),)
+    return (
+        Reason(
+            "few-draws", said if draws > _TOO_FEW_DRAWS else f"{draws} draws tell no uncertainty: take more"
+        ),
+    )
 
 
 def _spread(results: list[Result], field: str) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from roemetry.records import (
     StripeMap,
     Trace,
 )
+from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.run.open_parts import open_parts
 from roemetry.run.pipeline import UNCALIBRATED
@@ -50,6 +51,13 @@ def measurements_of(
     if not trace.products:
         return (_without_product(trace, recipe, warnings, given),)
     return tuple(_calibrated(trace, product, warnings, given) for product in trace.products)
+
+
+def seen_of(trace: Trace, rows: Sequence[Measurement]) -> list[Floats | None]:
+    """Give each row's points that were seen, mm, (slice, point, 3); None for rows without a product."""
+    if len(rows) != len(trace.products):
+        return [None] * len(rows)
+    return [one.product.profiles.xyz_mm for one in trace.products]
 
 
 def failed(acquisition_id: str, kind: str, why: Reason, provenance: Mapping[str, str]) -> Measurement:

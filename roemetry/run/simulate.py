@@ -7,7 +7,7 @@ files are written whole, each under another name first; its line, which makes it
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -29,6 +29,7 @@ from roemetry.io.files import exclusive, make_folder, write_whole
 from roemetry.io.yaml_source import dump
 from roemetry.records import Frame, Role
 from roemetry.run.executors import Executor, Lost
+from roemetry.run.pace import OnProgress, Pace, silent
 from roemetry.run.workers import Processes
 from roemetry.stages import Simulator
 
@@ -73,7 +74,7 @@ def simulate(
     executor: Executor | None = None,
     resume: bool = False,
     calibration: Calibration = "basic",
-    on_progress: Callable[[int, int], None] = lambda done, of: None,
+    on_progress: OnProgress = silent,
 ) -> Made:
     """Make a data set, or go on with one.
 
@@ -97,7 +98,8 @@ def simulate(
         Calibration images: none, block and empty belt, these and the ChArUco board, or every kind the
         simulator has.
     on_progress
-        Called with (images done, of how many).
+        Called with (items and calibration images done, of how many, and the time that the others will take,
+        s).
 
     Raises
     ------
@@ -119,26 +121,38 @@ def simulate(
         _keep_scene(scene, folder)
         names = [scene.file.item.format(number=number + 1) for number in range(count)]
         tasks: list[_Task] = [number for number, name in enumerate(names) if name not in writer.done]
-        # the kinds with most images first: the time left is then told by what most of them take
+        # the kinds with most images first: the time left is soon told by what most of them take
         alike = Counter(view.kind for view in views)
         ordered = sorted(views, key=lambda view: -alike[view.kind])
         tasks += [view for view in ordered if not (folder / view.path).exists()]
+        pace = Pace(Counter(map(_kind_of, tasks)))
         kept = sum(name in writer.done for name in names)
         total = len(views) + count
         done = total - len(tasks)
-        on_progress(done, total)
-        for item in (executor or Processes(jobs)).in_order(_Worker, (scene, folder, seed), tasks):
+        on_progress(done, total, pace.left_s())
+        made = (executor or Processes(jobs)).in_order(_Worker, (scene, folder, seed), tasks)
+        for task, item in zip(tasks, made, strict=True):
             if isinstance(item, Lost):
                 raise InterruptedRunError(f"{item.task}: {item.why}", hint="go on with --resume")
             if item is not None:
                 writer.add(item)
             done += 1
-            on_progress(done, total)
+            pace.done(_kind_of(task))
+            on_progress(done, total, pace.left_s())
     known = [view.path for view in views]
     if calibration != "none" and (truth := simulator.calibration_truth(seed)):
         known.append(save_calibration_truth(folder, truth))
     save_calibration_hashes(folder, known)
     return Made(folder, count, kept, len(views))
+
+
+def _kind_of(task: _Task) -> str:
+    """Name the tasks that cost alike: items, and calibration images of one target in one light."""
+    return (
+        "item"
+        if isinstance(task, int)
+        else f"{task.kind} {task.name.rpartition('_')[2].rstrip('0123456789')}"
+    )
 
 
 def _views(simulator: Simulator[Any], seed: int, calibration: Calibration) -> list[_View]:

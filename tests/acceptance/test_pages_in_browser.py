@@ -41,9 +41,11 @@ REPORTS = some(
     ["bread_roll", "egg", "fish_fillet", "potato", "herring_roe", "herring_roe/by_words.yaml"],
 )
 RECIPES = some(
-    ["herring_roe/with_outline.yaml"],
-    ["bread_roll", "egg", "fish_fillet", "potato", "weld_groove", "herring_roe"],
+    ["herring_roe/with_outline.yaml", "belt_scan", "potato_dots", "potato_grid"],
+    ["bread_roll", "egg", "fish_fillet", "potato", "weld_groove", "herring_roe", "herring_roe/by_words.yaml"],
 )
+PATTERNS = ("potato_dots", "potato_grid")
+"""Recipes whose extractor no other one can stand in for: an option of it is changed instead."""
 RIGS = some(["bread_roll/rig.yaml", "herring_roe/boards.yaml"], ["egg/rig.yaml"])
 """One for each way to calibrate."""
 
@@ -211,20 +213,28 @@ def assert_a_report_answers(browser: Any, report: str, width: int) -> None:
 @pytest.mark.parametrize("name", RECIPES)
 def test_a_comparison_prints_and_a_tuning_page_answers(browser: Any, tmp_path: Path, name: str) -> None:
     recipe, out = few_products_of(name, tmp_path), tmp_path / "compared"
+    vary = "extractor=centre-of-gravity,dominant-peak"
+    if name in PATTERNS:
+        vary = "stages.extractor.options.width_max_px=9,11"
     with contextlib.suppress(typer.Exit):
-        compare(recipe, vary=["extractor=centre-of-gravity,dominant-peak"], sets=["draws=0"], out=out)
+        compare(recipe, vary=[vary], sets=["draws=0"], out=out)
     assert_prints(browser, out / "comparison.html")
     with served(recipe) as address:
         for width in WIDTHS:
             with opened(browser, address, width=width) as page:
                 page.wait_for_selector("body[data-took]")
                 assert_fits(page, address)
+                assert "No product" not in page.locator("#numbers").inner_text()
+                assert page.locator("#profiles-title").inner_text() != ""
+                assert page.locator("#stage").is_hidden() == (name == "belt_scan"), "a scan has no frame"
                 answers = page.get_attribute("body", "data-answers")
-                extractor = page.get_by_label("extractor: plugin")
-                another = (
-                    "gaussian" if extractor.input_value() == "centre-of-gravity" else "centre-of-gravity"
-                )
-                extractor.select_option(another)
+                if name in PATTERNS:
+                    page.get_by_label("width_max_px: slider").first.focus()
+                    page.keyboard.press("ArrowLeft")
+                else:
+                    extractor = page.get_by_label("extractor: plugin")
+                    others = {"gaussian", "centre-of-gravity"} - {extractor.input_value()}
+                    extractor.select_option(min(others))
                 page.wait_for_selector(f'body:not([data-answers="{answers}"])')
                 assert_fits(page, address)
 

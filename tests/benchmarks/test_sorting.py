@@ -23,8 +23,8 @@ def cases(rng: np.random.Generator, *, whole: bool, draws: int = 0) -> list[Case
         std *= 1.0 if draws == 0 else math.sqrt((draws - 1.0) / (draws - 3.0))
         interval = (value - 2.0 * std, value + 2.0 * std) if whole else (math.nan, math.nan)
         weight = Weight(Estimate(float(value), std, {"model": std}, interval))
-        trace = SimpleNamespace(product=product, volume=None, weight=weight)
-        found.append(Case(trace, "weight_g", 30.0))  # type: ignore[arg-type]
+        trace = SimpleNamespace(product=product, volume=None, weight=weight, grade=None)
+        found.append(Case("line", trace, "weight_g", 30.0))  # type: ignore[arg-type]
     return found
 
 

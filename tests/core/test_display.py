@@ -1,6 +1,8 @@
 """Records in a console and in a notebook, and as other libraries' tables."""
 
 import math
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,6 +47,23 @@ def test_a_notebook_sees_picture_and_numbers(recipe: Recipe, image: np.ndarray) 
     assert row._repr_html_().count("<path") > 50, "its surface is drawn"
     assert "seen_xyz_mm" not in row.to_json()
     assert "dominant-peak" in recipe._repr_html_()
+
+
+def test_rows_of_a_run_have_a_picture_that_costs_little(tmp_path: Path) -> None:
+    images = tmp_path / "images"
+    images.mkdir()
+    for name in ("skein_01", "skein_02"):
+        shutil.copy(f"recipes/herring_roe/images/{name}.png", images)
+    sets = ["source.use=image-files", f"source.path={images}"]
+    recipe = Recipe.load("recipes/herring_roe", sets=sets)
+    for row in recipe.run():
+        assert row._repr_html_().count("<path") > 50
+        assert row.seen_xyz_mm.nbytes < 20_000, "a list of many rows stays small"
+        assert np.nanmax(row.seen_xyz_mm[..., 2]) == pytest.approx(row.height_max_mm.value, rel=0.1)
+    (images / "skein_02.png").write_bytes(b"")
+    *_, unreadable = recipe.run()
+    assert unreadable.status == "failed"
+    assert unreadable.seen_xyz_mm is None
 
 
 def test_text_of_records_is_no_markup_and_what_is_not_stated_is_said() -> None:

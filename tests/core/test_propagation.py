@@ -343,6 +343,26 @@ def test_the_grades_probability_is_the_share_of_draws() -> None:
     assert done(given, SumOfHeights(), None, classifier, draws=0).grade.probability == 1.0
 
 
+class WithTotal(AboveLimit):
+    """Tells what it judges by."""
+
+    def classify(self, product, *, rng=None):
+        total = float(np.nansum(product.profiles.xyz_mm[:, :, 2]))
+        return replace(super().classify(product), features={"total": total})
+
+
+@pytest.mark.parametrize("draws", [2, 4, 18])
+def test_few_draws_make_no_grade_sure(draws: int) -> None:
+    """Draws that agree say as much as if one more did not; below 19 none reaches 0.95."""
+    given = scene()
+    classifier = WithTotal()
+    classifier.limit = 0.5 * closed_form(given)[0]
+    grade = done(given, SumOfHeights(), classifier=classifier, draws=draws).grade
+    assert grade.probability == pytest.approx(draws / (draws + 1.0))
+    assert grade.probability < 0.95
+    assert bool(grade.features_std) == (draws > 3), "three draws know no standard deviation"
+
+
 class NeverSure(AboveLimit):
     """Names no class, and has a feature that no draw changes, of a value no sum of equals hits."""
 

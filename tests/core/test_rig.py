@@ -42,7 +42,13 @@ def rig_file(rig, tmp_path: Path) -> Path:
 
 
 def test_a_calibration_is_made_and_knows_where_it_comes_from(rig, rig_file: Path) -> None:
-    made = calibrate(Rig.load(rig_file))
+    told: list[tuple[int, int, float]] = []
+    made = calibrate(Rig.load(rig_file), on_progress=lambda *step: told.append(step))
+    done, of, left_s = zip(*told, strict=True)
+    assert done == tuple(range(1, of[0] + 1))  # each image, and the adjustment
+    assert of[0] == len(made.image_sha256) + 1
+    assert left_s[-1] == 0.0
+    assert min(left_s[:-1]) > 0.0
     assert made.image_size == (rig.rows, rig.columns)
     assert set(made.image_sha256) == {"block/block.png", "belt/belt.png"}
     assert made.extractor["use"] == "dominant-peak"

@@ -430,7 +430,8 @@ _BESIDE, _BAR = (14.0, 8.5, 3.0), 3.5
 """Where, right of the plot, the bars of intervals stand, and how wide; side by side, since they overlap."""
 
 _WRITING = 11.0
-"""Height of a line of writing, in units of the plot."""
+_LETTER = 7.8
+"""Height of a line of writing, and width of a letter at most, in units of the plot."""
 
 Point = tuple[float, float, str]
 """Size, difference in %, and of which product."""
@@ -464,13 +465,17 @@ def bland_altman(
     known = [value for value in ends if np.isfinite(value)]
     room = 0.06 * (max(known) - min(known)) or 1.0
     up = svg.Axis.over(min(known) - room, max(known) + room, _FLOOR, 8.0)
-    across = svg.Axis.over(min(p[0] for p in points), max(p[0] for p in points), _AXIS + 8.0, _WIDTH - 70.0)
+    # small differences have long values beside the axis
+    left = max(_AXIS, _LETTER * max(len(written) for _, written in up.ticks()) + 8.0)
+    across = svg.Axis.over(min(p[0] for p in points), max(p[0] for p in points), left + 8.0, _WIDTH - 70.0)
     right = _WIDTH - 64.0
+    # as fine as the axis, as far as there is room
+    digits = 2 if max(len(written.partition(".")[2]) for _, written in up.ticks()) > 1 else 1
     parts = []
     if tolerance_pct is not None:
         band = up(-tolerance_pct) - up(tolerance_pct)
-        parts.append(svg.box(_AXIS, up(tolerance_pct), right - _AXIS, band, "tolerance", "the tolerance"))
-    parts += up.level(_AXIS, right)
+        parts.append(svg.box(left, up(tolerance_pct), right - left, band, "tolerance", "the tolerance"))
+    parts += up.level(left, right)
     parts += [svg.text(across(value), _FLOOR + 15.0, written) for value, written in across.ticks(3)]
     paint = colour(variant.number)
     low, high = agreement.limits_pct
@@ -485,18 +490,18 @@ def bland_altman(
     ]
     written_at = _apart([up(value) + 4.0 for value, _, _ in drawn])
     for (value, interval, kind), at, beside in zip(drawn, written_at, _BESIDE, strict=False):
-        parts.append(svg.line(_AXIS, up(value), right, up(value), kind))
+        parts.append(svg.line(left, up(value), right, up(value), kind))
         if np.isfinite(interval.low):
             words = f"{svg.plain(interval.low, 2, True)} to {svg.plain(interval.high, 2, True)} %"
             tall = up(interval.low) - up(interval.high)
             parts.append(svg.box(right + beside, up(interval.high), _BAR, tall, "interval", words, paint))
-        parts.append(svg.text(right + 21.0, at, svg.plain(value, 1, True), "start"))
+        parts.append(svg.text(right + 21.0, at, svg.plain(value, digits, True), "start"))
     for size, difference, product in _some(points, lambda point: point[1]):
         title = f"{product}: {svg.plain(difference, 2, True)} %"
         parts.append(svg.dot(across(size), up(difference), "point", title, paint))
     parts += [
-        svg.text((_AXIS + right) / 2, _FLOOR + 31.0, size_words),
-        svg.text(_AXIS, _FLOOR + 31.0, "%", "end"),
+        svg.text((left + right) / 2, _FLOOR + 31.0, size_words),
+        svg.text(left, _FLOOR + 31.0, "%", "end"),
     ]
     label = (
         f"{variant.name}: mean difference {svg.plain(agreement.mean_pct, 2, True)} %, limits of agreement "

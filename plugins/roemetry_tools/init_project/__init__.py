@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import math
 import re
 import shutil
 import unicodedata
@@ -17,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from roemetry.cli.progress import COMPILING
+from roemetry.cli.progress import COMPILING, Move
 from roemetry.cli.warm_up import warm_up
 from roemetry.errors import ConfigurationError, OutputError
 from roemetry.io.files import make_folder, write_whole
@@ -25,17 +26,18 @@ from roemetry_tools.init_project.layout import Answers, Layout, lay_out
 
 if TYPE_CHECKING:
     from roemetry.config.scene import Scene
+    from roemetry.run.pace import OnProgress
 
 _SEED = 1  # any: the same folder each time
 _DATA = "data"
 _BOARDS = "simulating calibration images"
 
 
-Step = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
+Step = Callable[[str], AbstractContextManager[Move]]
 
 
-def _silent(_: str) -> AbstractContextManager[Callable[[int, int], None]]:
-    return nullcontext(lambda done, of: None)
+def _silent(_: str) -> AbstractContextManager[Move]:
+    return nullcontext(lambda done, of, left_s=math.nan, /: None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +64,7 @@ def start_like(
     """Begin from a shipped line: its recipe, rig, calibration and scene, and products drawn anew.
 
     The folder must be empty or not there yet. `step` is entered with the name of each step that takes time,
-    and gives what is called with (images done, of how many).
+    and gives what is called with (steps done, of how many, the time left, s).
 
     - Raises ConfigurationError: There is no such line.
     - Raises OutputError: The folder holds something, or cannot be written.
@@ -104,17 +106,18 @@ def start_own(
         with ExitStack() as bar:
             shown = bar.enter_context(step("simulating products" if items else _BOARDS))
 
-            def on_progress(done: int, of: int) -> None:
+            def on_progress(done: int, of: int, left_s: float) -> None:
                 nonlocal shown
                 if done == items > 0:
                     bar.close()
                     tell(f"to look at already: {folder / _DATA / 'images'}")
                     shown = bar.enter_context(step(_BOARDS))
-                shown(*((done, items) if done < items else (done - items, of - items)))
+                # the time is that of all images, whichever bar is shown
+                shown(*((done, items) if done < items else (done - items, of - items)), left_s)
 
             _simulate(scene, folder, items, "charuco", jobs, on_progress)
-        with step("calibrating"):
-            written = (*written, _calibrate(folder))
+        with step("calibrating") as shown:
+            written = (*written, _calibrate(folder, shown))
     return Started(folder, written, items, layout)
 
 
@@ -179,9 +182,7 @@ def _write(folder: Path, texts: Mapping[str, str]) -> tuple[Path, ...]:
     return tuple(folder / name for name in texts)
 
 
-def _simulate(
-    scene: Scene, folder: Path, items: int, views: Any, jobs: int, on_progress: Callable[[int, int], None]
-) -> None:
+def _simulate(scene: Scene, folder: Path, items: int, views: Any, jobs: int, on_progress: OnProgress) -> None:
     from roemetry.run.simulate import simulate
 
     given: dict[str, Any] = {"count": items, "seed": _SEED, "jobs": jobs, "calibration": views}
@@ -198,13 +199,13 @@ def _compiled(folder: Path, step: Step) -> Scene:
     return scene
 
 
-def _calibrate(folder: Path) -> Path:
+def _calibrate(folder: Path, on_progress: OnProgress) -> Path:
     from roemetry.calibrating import calibrate, default_path
     from roemetry.config.rig import Rig
 
     rig = Rig.load(folder / "rig.yaml")
     path = default_path(rig)
-    calibrate(rig).save(path)
+    calibrate(rig, on_progress=on_progress).save(path)
     return path
 
 

@@ -201,7 +201,9 @@ class Session:
             found: Frame = self._memory.recall(("frame", settings), lambda: frame_of(recipe, given))[0]
             return found
 
-        trace = Pipeline(recipe, stages=remembered.stages, draws=draws, frame=frame).trace(acquisition)
+        # each line of a scan is a frame of its own
+        one_frame = frame if acquisition.lines is None else None
+        trace = Pipeline(recipe, stages=remembered.stages, draws=draws, frame=one_frame).trace(acquisition)
         rows = measurements_of(trace, recipe, {})
         places = places_of(trace, arrays)
         return {

@@ -133,14 +133,19 @@ def test_size_colour_and_volume_are_asked_of_whoever_knows() -> None:
     seen = replace(PRODUCT, outline=Outline(1, np.zeros((4, 2)), features={"green_mean": 80.0}))
     volume = replace(volume_of(9000.0), true_mm3=whole(9000.0, 90.0))
     grade = Grade("good", features={"length_mm": 51.0}, features_std={"length_mm": 0.3})
-    decision = grader.decide(seen, volume, None, grade)
-    assert decision.label == "A"
-    assert "guard-not-stated" not in [reason.code for reason in decision.reasons]
+    part = grader.decide(seen, volume, None, grade)
+    assert part.label == "undecided", "noise is a part of what a length is off by"
+    assert "length_mm is 51 ± 0.3 or more: its uncertainty is not stated in full" in part.reasons[0].text
     bare = grader.decide(seen, volume, None, Grade("good", features={"length_mm": 51.0}))
-    assert bare.reasons[-1] == Reason(
-        "guard-not-stated", "no uncertainty is stated of length_mm: compared without a guard band"
-    )
-    missing = grader.decide(PRODUCT, volume, None, grade)
+    assert bare.label == "undecided", "nothing says how far off the length may be"
+    assert "length_mm is 51: its uncertainty is not stated" in bare.reasons[0].text
+    whole_length = grading(table(("A", limits), ("B", {}), std={"green_mean": 2.0, "length_mm": 0.2}))
+    assert whole_length.decide(seen, volume, None, grade).label == "A"
+    risked = grading(table(("A", limits), ("B", {}), guard_factor=0.0))
+    assert risked.decide(seen, volume, None, Grade("good", features={"length_mm": 51.0})).label == "A"
+    told = grading(table(("A", limits), ("B", {}), std={"green_mean": 2.0, "length_mm": 1.0}))
+    assert told.decide(seen, volume, None, grade).label == "undecided", "the run knows a part of its 1 mm"
+    missing = whole_length.decide(PRODUCT, volume, None, grade)
     assert missing.label == "undecided"
     assert "there is no green_mean; there are length_mm, true_volume_cm3" in missing.reasons[0].text
 
@@ -282,7 +287,8 @@ def test_a_part_of_an_uncertainty_proves_nothing(tmp_path: Path, draws: int) -> 
     """Draws know the calibration's part, but neither the peaks' noise nor the density's."""
     (found,) = Recipe.load(recipe(tmp_path), sets=[f"draws={draws}"]).run()
     assert found.decision.label == "undecided"
-    assert "or more: its uncertainty is not stated in full" in found.decision.reasons[0].text
+    known = "or more" if draws else "weight_g is 13.83"
+    assert f"{known}: its uncertainty is not stated in full" in found.decision.reasons[0].text
     (found,) = Recipe.load(recipe(tmp_path), sets=[f"{OPTIONS}.guard_factor=0"]).run()
     assert found.decision is not None and found.decision.label == "heavy", "no guard band was asked for"
 

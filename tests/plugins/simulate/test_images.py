@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from roemetry_simulate.optics import fan_through, looking_down
+from roemetry_simulate.optics import blurred, fan_through, looking_down
 from roemetry_simulate.render import Rig, Sensor, expose, laser_light, plain_light, render
 from roemetry_simulate.solid import Block, EmptyBelt, on_grid
 from roemetry_simulate.surface import even, textured
@@ -103,3 +103,12 @@ def test_a_draft_is_right_to_a_fraction_of_a_grey_level(plain):
     off = np.abs(quick - exact)
     assert off.mean() < 0.15
     assert np.quantile(off, 0.97) < 1.0
+
+
+def test_a_draft_keeps_edges_of_bodies_and_of_their_shadows():
+    """As a lens of 1 px shows them: what alternates between neighbouring pixels is the lamps' own noise."""
+    a_rig, block = rig(240, 120), Block(20.0, 12.0, 5.0)
+    exact, quick = (plain_light(a_rig, block, even(), draft=draft) for draft in (False, True))
+    off = np.abs(blurred(quick - exact, 1.0))
+    assert off.mean() < 0.7
+    assert off.max() < 13.0

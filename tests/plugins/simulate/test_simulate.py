@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -54,10 +55,19 @@ def bytes_of(folder: Path) -> dict[str, bytes]:
 def test_two_processes_make_the_bytes_of_one(scene: Path, tmp_path: Path) -> None:
     loaded = Scene.load(scene)
     seen: list[tuple[int, int]] = []
-    one = simulate(loaded, tmp_path / "one", count=3, seed=5, on_progress=lambda *at: seen.append(at))
+    left: list[float] = []
+
+    def on_progress(done: int, of: int, left_s: float) -> None:
+        seen.append((done, of))
+        left.append(left_s)
+
+    one = simulate(loaded, tmp_path / "one", count=3, seed=5, on_progress=on_progress)
     simulate(loaded, tmp_path / "two", count=3, seed=5, jobs=2)
     assert (one.items, one.kept, one.views) == (3, 0, 2)
     assert seen == [(k, 5) for k in range(6)]
+    assert math.isnan(left[0])
+    assert min(left[1:-1]) > 0.0
+    assert left[-1] == 0.0
     assert bytes_of(tmp_path / "one") == bytes_of(tmp_path / "two")
     assert list(Dataset(tmp_path / "one").faults()) == []
 

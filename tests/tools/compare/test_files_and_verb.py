@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 from html.parser import HTMLParser
+from pathlib import Path
 
 import fsspec
 import pytest
 
+from roemetry_tools.compare import tables
 from tests.tools.compare.conftest import COUNT
 
 
@@ -166,3 +169,10 @@ def test_figures_on_two_data_sets_stand_side_by_side(dataset, tmp_path, roemetry
     assert (out / "other" / "comparison.html").exists()
     assert roemetry(path, "--data", other, "--data", other, "--out", tmp_path / "twice") == 2
     assert "two data sets are called other" in capsys.readouterr().err
+
+
+def test_every_step_that_is_timed_has_a_colour_of_its_own() -> None:
+    sheet = Path(tables.__file__).with_name("templates") / "comparison.css"
+    colours = re.findall(r"\.step-([a-z]+) \{ fill: (#[0-9a-f]{6});", sheet.read_text("utf-8"))
+    assert {step for step, _ in colours} == set(tables.STEPS)
+    assert len({colour for _, colour in colours}) == len(tables.STEPS)

@@ -14,6 +14,7 @@ from pydantic import BaseModel, Field
 from roemetry.config.recipe import Recipe
 from roemetry.errors import ConfigurationError, DataError, OutputError
 from roemetry.records import AMBIGUOUS, SATURATED
+from roemetry.run import api
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.rows import measurements_of
 from roemetry.stages.registry import discover
@@ -378,3 +379,15 @@ def test_every_option_of_every_stage_has_a_field_that_explains_itself() -> None:
         for field in fields:
             assert len(field["description"]) > 10, stage
             assert None in (field["low"], field["high"]) or field["low"] < field["high"], stage
+
+
+def test_a_scan_gives_what_a_run_gives(root: Path) -> None:
+    """Its lines are frames of their own: none stands for another."""
+    path = root / "recipes" / "belt_scan"
+    header, arrays = ask(Session(path), TuneRequest())
+    (row,) = header["rows"]
+    run = next(api.Recipe.load(path, sets=["draws=0"]).run())
+    assert run.volume is not None
+    assert row["volume"]["visible_mm3"]["value"] == run.volume.visible_mm3.value
+    assert header["image"] == {}
+    assert (arrays["profiles.product"] > 0).sum() > 1000

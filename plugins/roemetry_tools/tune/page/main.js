@@ -45,9 +45,11 @@ function describe(x, row, peak) {
 }
 
 function charts() {
-  if (!answer?.arrays || !answer.image?.key) return;
-  $("row-title").textContent = `Grey levels of row ${picture.row}, in the frame's columns (click the frame, or arrow keys)`;
-  drawRow($("row"), picture, answer);
+  if (!answer?.arrays) return;
+  if (answer.image.key) {
+    $("row-title").textContent = `Grey levels of row ${picture.row}, in the frame's columns (click the frame, or arrow keys)`;
+    drawRow($("row"), picture, answer);
+  }
   const words = drawProfiles($("profiles"), answer, changed() ? saved : null, stripe);
   $("profiles-title").textContent = words
     ? `Profiles: ${words}${changed() ? "; grey: as the recipe is saved" : ""}` : "";
@@ -101,6 +103,9 @@ async function shown(given) {
   frames(given);
   if (!given.changes.length) { saved = given; savedOf = given.acquisition; }
   else if (savedOf !== given.acquisition) await askSaved(given.acquisition);
+  const pictured = Boolean(given.image.key); // of a scan there is none
+  $("no-frame").hidden = pictured;
+  for (const id of ["layers", "stage", "under", "row-figure"]) $(id).hidden = !pictured;
   layers.show(given);
   picture.show(given);
   showNumbers($("numbers"), given, saved, changed(), { count: recipe.draws, draw: () => send(true) }, picture.goTo);
