@@ -263,8 +263,10 @@ def from_solids(
     `boards` are their marks, with the camera and poses to start with; `free_camera` (12,) says which of the
     camera's numbers are looked for; `belt` (3,) b·X = 1 is where boards on it say, else None.
 
-    Raises CalibrationError: a solid is not seen, a stripe is seen on one level only, or the belt is not
-    determined.
+    Raises
+    ------
+    CalibrationError
+        A solid is not seen, a stripe is seen on one level only, or the belt is not determined.
     """
     camera, stripes = boards.start.camera, observed.stripe_count
     bare = [numbered(view, camera, stripes) for view in observed.showing("belt")]

@@ -49,8 +49,10 @@ class PinholeGridCalibrator(Calibrator[PinholeGridOptions]):
     def calibrate(self, observed: CalibrationSet) -> Calibration:
         """Calibrate.
 
-        Raises CalibrationError: as `pinhole-plane` does of either family, which is named; or they tell of
-        different cameras.
+        Raises
+        ------
+        CalibrationError
+            As `pinhole-plane` does of either family, which is named; or they tell of different cameras.
         """
         shared = self.options.model_dump(include=set(BoardOptions.model_fields))
         one = PinholeCalibrator(PinholeCalibratorOptions(**shared))

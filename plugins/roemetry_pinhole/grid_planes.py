@@ -56,8 +56,10 @@ class PinholeGrid(Triangulator[StageOptions]):
     def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
         """Give a slice for each stripe, then one for each line across, with a point for each row or column.
 
-        Raises StageError: there are no lines across, or the map has other numbers of lines or rows than the
-        calibration.
+        Raises
+        ------
+        StageError
+            There are no lines across, or the map has other numbers of lines or rows than the calibration.
         """
         across = stripes.across
         if across is None or ACROSS not in calibration.parameters:

@@ -334,8 +334,11 @@ def from_plate(
 
     The other parameters are those of `from_solids`.
 
-    Raises CalibrationError: the belt is not known or its empty image is missing; the plate is not seen; a
-    stripe lies on no ball.
+    Raises
+    ------
+    CalibrationError
+        The belt is not known or its empty image is missing; the plate is not seen; a stripe lies on no
+        ball.
     """
     if belt is None or not observed.showing("belt"):
         raise CalibrationError(

@@ -190,7 +190,10 @@ class Start:
 def numbered(view: Observation, camera: Floats, stripes: int) -> Numbered:
     """Number the peaks by their order, in the rows that show as many as there are stripes.
 
-    Raises CalibrationError: there are too few such rows.
+    Raises
+    ------
+    CalibrationError
+        There are too few such rows.
     """
     peaks = view.peaks
     good = np.flatnonzero((peaks.flags & (EDGE | WIDE)) == 0)
@@ -246,7 +249,10 @@ def start_of(
     Where the belt (3,) b·X = 1 is not known, distances about the one that the solid's extent gives, and tilts
     of the camera, are tried.
 
-    Raises CalibrationError: the solid is not seen.
+    Raises
+    ------
+    CalibrationError
+        The solid is not seen.
     """
     own = lines[view.stripe]
     off_px = (view.ray[:, 0] - own[:, 0] - own[:, 1] * view.ray[:, 1]) * focal_px

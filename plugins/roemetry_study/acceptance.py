@@ -101,7 +101,10 @@ def measure(
     The calibration's `view` gives lengths in X and Y by perspective, the image's `light` a block's edges:
     without it its side is not measured.
 
-    Raises DataError: the artefact is not found.
+    Raises
+    ------
+    DataError
+        The artefact is not found.
     """
     target, std_mm = artefact.target, artefact.std_mm
     if isinstance(target, SpherePlate):
@@ -143,7 +146,10 @@ def _levels_of(profiles: Profiles, stairs: Staircase) -> dict[float, float]:
 def decide(values: Sequence[Value], limits_mm: dict[str, float]) -> tuple[Outcome, ...]:
     """Hold the largest error of each characteristic against its limit.
 
-    Raises DataError: nothing was measured of a characteristic that has a limit.
+    Raises
+    ------
+    DataError
+        Nothing was measured of a characteristic that has a limit.
     """
     outcomes = []
     for name, limit in limits_mm.items():
@@ -244,7 +250,10 @@ def dispersion(residual_mm: Floats) -> float:
 def _grid_in(points: Floats, plate: SpherePlate) -> dict[tuple[int, int], Floats]:
     """Find the plate: by column and row, where its spheres' centres are, mm.
 
-    Raises DataError: less than half of the points lie near a sphere at the best place and turn.
+    Raises
+    ------
+    DataError
+        Less than half of the points lie near a sphere at the best place and turn.
     """
     if len(points) < _POINTS_MIN:
         raise DataError(
