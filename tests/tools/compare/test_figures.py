@@ -156,15 +156,15 @@ def test_every_variant_stands_once_and_the_recipe_first(line) -> None:
 
 
 def test_what_is_said_of_the_product_stays_when_the_method_is_exchanged(line) -> None:
-    """The underside is the product's; the ends are the method's; another method's default may differ."""
-    own = "{ends: hold, underside: rounded, true_share: 0.9, true_share_std: 0.02}"
+    """The underside is the product's; the rule between slices is the method's."""
+    own = "{underside: rounded, true_share: 0.9, true_share_std: 0.02}"
     path, sets = line(1), [f"stages.volume={{use: slice-pchip, options: {own}}}"]
-    _, simpson, zero_order = variants_of(path, "volume=slice-simpson,zero-order-hold", sets=sets)
+    _, trapezoid, zero_order = variants_of(path, "volume=slice-trapezoid,zero-order-hold", sets=sets)
     shares = "stages.volume.options.true_share=0.8"
-    _, other, *_ = variants_of(path, "volume=slice-simpson", shares, sets=sets)
-    assert simpson.name == "slice-simpson"
-    options = simpson.recipe.stages["volume"].options.model_dump()
-    assert (options["underside"], options["ends"]) == ("rounded", "taper")
+    _, other, *_ = variants_of(path, "volume=slice-trapezoid", shares, sets=sets)
+    assert trapezoid.name == "slice-trapezoid"
+    options = trapezoid.recipe.stages["volume"].options.model_dump()
+    assert options["underside"] == "rounded"
     assert (options["true_share"], options["true_share_std"]) == (0.9, 0.02)
     assert zero_order.fault == ""
     assert other.recipe.stages["volume"].options.model_dump()["true_share"] == 0.8
