@@ -352,25 +352,3 @@ def _of_one_fan(planes: Floats, lines: Floats, belt: Floats) -> Floats:
         line = np.array([1.0, -lines[stripe, 1], -lines[stripe, 0]])
         filled[stripe] = belt + line * (1.0 - belt @ point) / (line @ point)
     return filled
-
-
-def renumbered(view: Numbered, off_mm: Floats) -> Numbered:
-    """Exchange neighbours in a row where the other way round both lie nearer to the surface.
-
-    `off_mm` (3, peak), of peaks row by row in the order of their numbers, is the distance from the surface if
-    the peak's stripe were the one to the left, its own, the one to the right; infinite where there is none.
-    """
-    stripes = int(view.stripe.max()) + 1
-    left, own, right = (part.reshape(-1, stripes) for part in off_mm)
-    number = view.stripe.reshape(-1, stripes).copy()
-    usual = float(np.median(own))
-    for k in range(stripes - 1):
-        before, after = own[:, k] + own[:, k + 1], right[:, k] + left[:, k + 1]
-        swap = (after < _SWAP_SHARE * before) & (before > _SWAP_FACTOR * usual)
-        swap &= (number[:, k] == k) & (number[:, k + 1] == k + 1)
-        number[swap, k], number[swap, k + 1] = k + 1, k
-    return replace(view, stripe=number.ravel())
-
-
-_SWAP_SHARE = 0.35  # two neighbours are exchanged where it brings them nearer to the surface by this factor,
-_SWAP_FACTOR = 12.0  # and where they lie off it by so many usual distances: noise alone exchanges none
