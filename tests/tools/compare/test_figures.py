@@ -102,7 +102,7 @@ def test_a_changed_image_is_refused(dataset, compared) -> None:
 
 
 def test_without_a_data_set_there_are_times_and_a_reason(line, tmp_path: Path) -> None:
-    variants = variants_of(line(2), "extractor=local-maximum")
+    variants = variants_of(line(2), "extractor=log-parabola")
     data = Data(variants[0].recipe)
     with ItemsFile(tmp_path / "out") as file:
         found = compare(variants, data, on_scored=file.add)
@@ -147,9 +147,9 @@ def test_labels_count_instead_of_those_of_the_set_or_without_one(dataset, tmp_pa
 
 
 def test_every_variant_stands_once_and_the_recipe_first(line) -> None:
-    vary = ("stages.extractor.options.threshold=15,60", "extractor=local-maximum,dominant-peak")
+    vary = ("stages.extractor.options.threshold=15,60", "extractor=log-parabola,dominant-peak")
     made = variants_of(line(1), *vary)
-    assert [variant.name for variant in made] == ["recipe", "local-maximum", "threshold=15"]
+    assert [variant.name for variant in made] == ["recipe", "log-parabola", "threshold=15"]
     assert made[0].settings == {"extractor": "dominant-peak", "stages.extractor.options.threshold": "60"}
     local = made[1].recipe.stages["extractor"]
     assert local.options == local.stage.Options()
@@ -183,8 +183,8 @@ def test_what_is_said_of_the_product_stays_when_the_method_is_exchanged(line) ->
         ("extractor", "expected KIND=name,name"),
         ("gaussian", "did you mean `extractor=gaussian`?"),
         ("extractor=", "a value is missing"),
-        ("extractor=local-maximum,", "a value is missing"),
-        ("stages.extractor=local-maximum", "write `extractor=…`"),
+        ("extractor=log-parabola,", "a value is missing"),
+        ("stages.extractor=log-parabola", "write `extractor=…`"),
         ("stages.outliner.options.x=1", "the recipe has no outliner"),
     ],
 )
