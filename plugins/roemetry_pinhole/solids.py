@@ -5,7 +5,7 @@ belt). Stripes are numbered by their order in the rows in which all of them are 
 stripe's plane goes through its line on the bare belt and through its peaks on the solid's highest level,
 which are lifted by the known height: so belt and height give all planes, and what lies between must lie on
 the solid's faces. The belt's distance follows from the solid's extent; distances about it and tilts are
-tried, and the best is refined by a simplex (Nelder and Mead 1965).
+tried, and the adjustment goes on from the best.
 
 It fails where no rows show all stripes, and where the solid is not seen beside bare belt.
 """
@@ -151,7 +151,6 @@ _OFF_SHARE_MAX = 0.2
 _FAN_CONDITION = 0.01
 """Planes of one fan do not say where on its axis the projector is: singular values below are taken for 0."""
 _LEANS = 0.5  # tangent of a tilt (27°) that doubles a start's distance: cameras over belts stand straighter
-_MOVES_MAX = 120  # evaluations of the simplex over three unknowns: it ends by its tolerances, or here
 _DISTANCES = (0.76, 0.84, 0.92, 1.0, 1.08)
 """Of the distance by the solid's extent: what is hidden of it and its edges make that wrong by up to a
 fifth."""
@@ -296,21 +295,7 @@ def start_of(
         return best(level, stripes)
     # the distance is that along the optical axis
     tilts = [np.array([np.tan(y), -np.tan(x), 0.0]) for x, y in np.radians(_TILTS_DEG)]
-    from scipy.optimize import minimize
-
-    start = best(level + [one + one[2] * tilt for one in level for tilt in tilts], stripes)
-
-    def of(moved: Floats) -> Floats:
-        lean = start.belt[:2] / start.belt[2] + moved[:2]
-        return np.asarray(np.array([*lean, 1.0]) * start.belt[2] * np.exp(moved[2]))
-
-    # move distance and tilt to where the peaks lie nearest to the surface
-    simplex = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, 0.0, 0.03]])
-    options = {"initial_simplex": simplex, "maxfev": _MOVES_MAX, "xatol": 1e-3, "fatol": 1e-4}
-    found = minimize(
-        lambda moved: unlikely(made(of(moved), stripes)), simplex[0], method="Nelder-Mead", options=options
-    )
-    return min(start, made(of(found.x), stripes), key=unlikely)
+    return best(level + [one + one[2] * tilt for one in level for tilt in tilts], stripes)
 
 
 def _start(
