@@ -22,7 +22,7 @@ _CELL_SHARE = 0.08
 _WAYS = 72
 """Directions in which a point votes for its ball's centre: 5°, a cell of the votes at a ball's radius."""
 _ANCHORS = 8  # highest votes that are tried as a ball: some are shadows
-_TURN_STEP_DEG = 1.0
+_TURN_STEP_DEG = 1.0  # moves the outer balls of a plate of some 30 mm by a cell of the votes
 _FIT_STEPS, _FIT_END_MM = 50, 1e-9  # the fit squares its error in each step: it ends by its tolerance
 
 
