@@ -58,10 +58,13 @@ RULES: dict[str, list[tuple[Any, str, Any]]] = {
     "all rules": [],
     "veto ends_settled": [(decide, "ends_settled", lambda pieces, stripe: np.ones(stripe.size))],
     "veto out_of_order": [(decide, "out_of_order", nothing(3))],
+    "veto claimed": [(decide, "_CONTESTED_PEAKS", 10**9)],
     "veto may_be_level": [(decide, "may_be_level", nothing(-1))],
     "veto unexplained gaps": [
         (decide, "refuse_unexplained_gaps", lambda peaks, stripe, *_, **__: (stripe, []))
     ],
+    "veto going_on": [(decide, "going_on", nothing(0))],
+    "veto left_over": [(decide, "left_over", nothing(0))],
     "evidence: few labels of a trace count less": [(decide, "_SMALL_COUNT", 1.0)],
     "evidence: belt that became a body": [(decide, "_STRANGE_COUNT", 1.0)],
     "evidence: again without doubtful labels": [(decide, "_DOUBT_ROUNDS", 0)],

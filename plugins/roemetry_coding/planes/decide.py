@@ -32,8 +32,12 @@ from roemetry_coding.planes.shifts import evidence_without
 from roemetry_coding.planes.solve import Problem, Solved
 from roemetry_coding.planes.vetoes import (
     body_of,
+    claimed,
     ends_settled,
+    going_on,
+    left_over,
     may_be_level,
+    nearly_belt,
     numbered_by_pattern,
     out_of_order,
 )
@@ -63,6 +67,8 @@ _DOUBT_ROUNDS = 2
 """More rounds doubt no more."""
 _WHOLE_PEAKS, _WHOLE_SHARE = 6, 0.75
 """A piece with as many peaks, this share of them one stripe, holds no false ones."""
+_LEFT_SHARE, _BODY_LEFT_SHARE = 0.5, 0.75
+"""Of a piece with fewer of its labels left, none is kept; of a body where a gap is unexplained."""
 _ABOVE_ODDS = 50.0
 """A product higher than the calibration is meant for is so many times less likely than one that is not."""
 _ABOVE_SHARE_MIN = 0.25
@@ -70,13 +76,17 @@ _ABOVE_SHARE_MIN = 0.25
 pieces by themselves, where belt is missing, that nothing else keeps from being high."""
 _ALONE_PEAKS = 6
 """A trace of fewer peaks on another stripe's rest line is what is left of that belt at a shadow's edge."""
+_CONTESTED_PEAKS = 4
+"""Order must speak against so many peaks of a piece before the piece is contested: at a body's edge its
+stripe may be seen twice for a row or two."""
 
 
 class Verdicts(NamedTuple):
     """Verdicts on peaks."""
 
     stripe: Integers
-    """(peak,) stripe, −1 for none."""
+    claims: Integers
+    """stripe, claims: (peak,) stripe; stripe, or the one that its piece claims; −1 for none."""
     height_mm: Floats
     """(peak,) height as that stripe, 0 for none."""
     dearer: Floats
@@ -124,7 +134,8 @@ def verdicts_of(problem: Problem, solved: Solved, row: Integers) -> Verdicts:
         # belt that may be a level step is no reason to doubt the body beside it: that stands above it, too
         doubtful = (stripe >= 0) & ((evidence < _DOUBTFUL) | ~sure)
         evidence = np.where(pieces.line == stripe, np.minimum(evidence, without(doubtful)), evidence)
-    return Verdicts(stripe, height_mm, dearer, evidence, sure)
+    claims = claimed(pieces, stripe, problem.there.size)
+    return Verdicts(stripe, claims, height_mm, dearer, evidence, sure)
 
 
 def decided(
@@ -137,7 +148,7 @@ def decided(
     longest_gap_rows: int,
 ) -> tuple[Integers, Floats, list[Reason]]:
     """Refuse what is in doubt or out of order; give (peak,) stripe or verdict, margin, and what to say."""
-    stripes = problem.there.size
+    pieces, stripes = problem.pieces, problem.there.size
     verdicts = _renumbered(verdicts, peaks, rest, calibration.displacement_px_per_mm)
     stripe = verdicts.stripe.copy()
     margin = margin_of(verdicts.dearer, verdicts.evidence)
@@ -150,6 +161,9 @@ def decided(
         stripe[above] = AMBIGUOUS
     stripe[(stripe >= 0) & ~(verdicts.sure & (margin >= margin_min))] = AMBIGUOUS
     stripe[out_of_order(problem.entries, peaks.row, rest.line, stripe, stripes)] = AMBIGUOUS
+    wrong = out_of_order(problem.entries, peaks.row, rest.line, verdicts.claims, stripes)
+    often = np.bincount(pieces.of[wrong], minlength=pieces.rest.size) >= _CONTESTED_PEAKS
+    stripe[wrong & often[pieces.of] & (stripe >= 0)] = AMBIGUOUS
     stripe, gaps = refuse_unexplained_gaps(
         peaks,
         stripe,
@@ -159,6 +173,13 @@ def decided(
         longest_gap_rows,
         on_bodies_too=True,
     )
+    if gaps:
+        partly = left_over(pieces.of, verdicts.stripe, stripe, _BODY_LEFT_SHARE)
+        stripe[partly & (rest.line != verdicts.stripe)] = AMBIGUOUS
+        level = ~pieces.anchored[pieces.of] & nearly_belt(peaks, verdicts.stripe, rest)
+        for along in (verdicts.stripe, pieces.trace):
+            stripe[going_on(peaks.row, along, level, stripe < 0, longest_gap_rows)] = AMBIGUOUS
+    stripe[left_over(pieces.of, verdicts.stripe, stripe, _LEFT_SHARE)] = AMBIGUOUS
     still, wrong = numbered_by_pattern(peaks.row, peaks.x_px, stripe, rest)
     stripe[wrong | (still != 0)] = AMBIGUOUS
     return stripe, margin, gaps
@@ -175,14 +196,15 @@ def _renumbered(verdicts: Verdicts, peaks: Peaks, rest: RestLines, px_per_mm: Fl
     """Give whole bodies the number that the fan's pattern says, where it says one."""
     shift, _ = numbered_by_pattern(peaks.row, peaks.x_px, verdicts.stripe, rest)
     moved = np.flatnonzero(shift)
-    stripe = verdicts.stripe.copy()
+    stripe, claims = verdicts.stripe.copy(), verdicts.claims.copy()
     evidence, dearer = verdicts.evidence.copy(), verdicts.dearer.copy()
     stripe[moved] += shift[moved]
+    claims[moved] = stripe[moved]
     evidence[moved], dearer[moved] = _PATTERN_EVIDENCE, _PATTERN_DEARER
     height_mm = verdicts.height_mm.copy()
     off_px = peaks.x_px[moved] - rest.x_px[stripe[moved], peaks.row[moved]]
     height_mm[moved] = off_px / px_per_mm[stripe[moved]]
-    return Verdicts(stripe, height_mm, dearer, evidence, verdicts.sure)
+    return Verdicts(stripe, claims, height_mm, dearer, evidence, verdicts.sure)
 
 
 def margin_of(dearer: Floats, evidence: Floats) -> Floats:

@@ -6,13 +6,18 @@ reason that it does not contain. Each veto names one such reason and marks the p
 - `ends_settled`: where belt ends amid the image, a body may begin on the rest line; which of the two an end
   is must be borne out by the rest of its trace on both sides.
 - `out_of_order`: labels that do not increase along an epipolar line, or occur twice in a row.
+- `claimed`: a piece that is a stripe on some lines and left out on others was left out for the sake of
+  another piece: one of the two is wrong, so its claim is put to the test of order as well.
 - `may_be_level`: a level top that is m label heights up shows its stripes on the rest lines m further on.
   Where stripes are missing beside a body, what follows on rest lines may be more of that body: if moving it
   by up to as many stripes as are missing costs hardly more, it is refused, and what is doubted without it.
 - unexplained gaps (`roemetry_kernels.consistency`): a stripe interrupted where nothing is in sight
   that could hide it. A level product one spacing high, each stripe on its neighbour's rest line, looks so.
+- `going_on`: that doubt does not end where the gap does; it follows the stripe and the trace over what lies
+  nearly on its rest line without reaching the image's border.
 - `fits_another_stripe`: a body that would be three times more even, were all of it some stripes on: a fan's
   uneven spacing is a pattern that right labels take out and wrong ones put in.
+- `left_over`: what a body is on some rows it is on the others; of a piece mostly refused none is kept.
 
 What each is worth, on which images: docs/measurements/coding-ablation.md. Vetoes refuse, they never change a
 label. They fail for bodies with level tops so low that belt's scatter covers them.
@@ -22,11 +27,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from roemetry.records import Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_coding.planes.graph import Candidates, PairCosts, Weights
 from roemetry_coding.planes.lines import Entries
 from roemetry_coding.planes.pieces import ENDS, Pieces
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.consistency import HIDING_SPACINGS
 from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.rest_lines import RestLines
 
@@ -44,6 +51,8 @@ _LEVEL_ROWS = 40
 """A level body goes on for so many rows; fewer are as many as a break along a stripe may have."""
 _FLICKER_ROWS = 3
 """So many rows of it may be missing."""
+_CLAIM_PEAKS = 4
+"""A piece with so many peaks of one stripe claims it."""
 
 
 @kernel
@@ -104,6 +113,29 @@ def ends_settled(pieces: Pieces, stripe: Integers) -> Floats:
             settled = _ONE_SIDE if here and not still else 0.0
         found[p] = settled
     return found
+
+
+def claimed(pieces: Pieces, stripe: Integers, stripes: int) -> Integers:
+    """Give (peak,) stripes, with the one that its piece has elsewhere for peaks that are none.
+
+    A piece that is a stripe on some lines, and left out on others, was left out for the sake of another: one
+    of the two is wrong. Ends, which may hold two stripes, claim nothing.
+
+    Parameters
+    ----------
+    pieces
+        Of traces.
+    stripe
+        (peak,) stripe, below 0 for none.
+    stripes
+        Number of stripes.
+    """
+    given = stripe >= 0
+    votes = np.bincount(pieces.of[given] * stripes + stripe[given], minlength=pieces.rest.size * stripes)
+    votes = votes.reshape(-1, stripes)
+    enough = (votes.max(axis=1) >= _CLAIM_PEAKS) & (pieces.rest != ENDS)
+    claim = np.where(enough, votes.argmax(axis=1), -1)
+    return np.where(given, stripe, claim[pieces.of])
 
 
 @kernel
@@ -168,6 +200,13 @@ def may_be_level(
     """
     found = _level_instead(entries, candidates, pieces.line, best, costs, weights, there)
     return np.asarray(on_end(row, pieces.of, found, _LEVEL_ROWS, _FLICKER_ROWS))
+
+
+def nearly_belt(peaks: Peaks, stripe: Integers, rest: RestLines) -> Flags:
+    """Mark (peak,) what lies so near its stripe's rest line that it could hide nothing."""
+    spacing_px = np.median(np.diff(rest.x_px, axis=0)) if rest.x_px.shape[0] > 1 else np.inf
+    away_px = np.abs(peaks.x_px - rest.x_px[np.maximum(stripe, 0), peaks.row])
+    return np.asarray((stripe >= 0) & (away_px < HIDING_SPACINGS * spacing_px))
 
 
 def body_of(row: Integers, stripe: Integers, rest: RestLines) -> Integers:
@@ -287,6 +326,43 @@ _PATTERN_SHARE = 1.0 / 3.0
 put the pattern in twice."""
 _PATTERN_MIN_PX = 0.3
 """Ten times what second differences of medians over ten rows scatter by."""
+
+
+def left_over(piece: Integers, stripe: Integers, kept: Integers, share_min: float) -> Flags:
+    """Mark labelled peaks of pieces of which most others were refused: the doubt is the whole piece's.
+
+    Parameters
+    ----------
+    piece
+        (peak,) piece of its trace.
+    stripe, kept
+        (peak,) stripe before and after refusing, below 0 for none.
+    share_min
+        Share of a piece's peaks that must be left.
+    """
+    before, after = np.bincount(piece, stripe >= 0), np.bincount(piece, kept >= 0)
+    return np.asarray((kept >= 0) & (after < share_min * before)[piece])
+
+
+def going_on(row: Integers, along: Integers, asked: Flags, doubted: Flags, gap_rows: int) -> Flags:
+    """Mark (peak,) those asked that go on, along a stripe or a trace, from one in doubt.
+
+    Parameters
+    ----------
+    row, along
+        (peak,) row; stripe or trace.
+    asked, doubted
+        (peak,) what may be marked; and where doubt begins.
+    gap_rows
+        Over a longer gap nothing goes on, rows.
+    """
+    which = np.flatnonzero(asked)
+    which = which[np.lexsort((row[which], along[which]))]
+    apart = (np.diff(along[which], prepend=-1) != 0) | (np.diff(row[which], prepend=0) > gap_rows + 1)
+    group = np.cumsum(apart)
+    found = np.zeros(row.size, np.bool_)
+    found[which] = np.bincount(group, weights=doubted[which])[group] > 0.0
+    return found
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""What is belt, and which ends are believed: small arrays, each rule by itself."""
+"""Doubt about one piece is doubt about what stands against it: small arrays, each rule by itself."""
 
 from __future__ import annotations
 
@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from roemetry_coding.planes.pieces import ENDS, Pieces, between_bare, presence_of
-from roemetry_coding.planes.vetoes import ends_settled
+from roemetry_coding.planes.vetoes import claimed, ends_settled, going_on, left_over
+
+STRIPES = 9
+
+
+def of(*runs: tuple[int, int]) -> np.ndarray:
+    """Repeat values: (value, times)."""
+    return np.concatenate([np.full(times, value, np.int64) for value, times in runs])
 
 
 def pieces_of(
@@ -17,6 +24,35 @@ def pieces_of(
         trace, piece, np.full(piece.size, -1) if line is None else line, rest,
         rest if home is None else home, np.zeros(rest.size, np.bool_), np.ones(rest.size),
     )  # fmt: skip
+
+
+def test_doubt_goes_on_along_a_stripe_over_short_gaps() -> None:
+    """Two stripes; what is not asked, and what lies beyond a long gap, is left alone."""
+    row = np.array([10, 12, 13, 14, 30, 31, 60, 61, 12, 13])
+    stripe = np.array([4] * 8 + [5] * 2)
+    asked = np.ones(10, np.bool_)
+    asked[5] = False
+    doubted = np.zeros(10, np.bool_)
+    doubted[1] = True
+    found = going_on(row, stripe, asked, doubted, 20)
+    np.testing.assert_array_equal(np.flatnonzero(found), [0, 1, 2, 3, 4])
+
+
+def test_a_piece_claims_the_stripe_it_has_elsewhere() -> None:
+    piece = of((0, 8), (1, 5))
+    stripe = of((3, 5), (-1, 3), (4, 3), (-1, 2))
+    found = claimed(pieces_of(piece, piece, np.full(2, -1)), stripe, STRIPES)
+    np.testing.assert_array_equal(found, of((3, 8), (4, 3), (-1, 2)))  # three peaks are too few for a claim
+    ends = claimed(pieces_of(piece, piece, np.array([ENDS, -1])), stripe, STRIPES)
+    np.testing.assert_array_equal(ends, stripe)
+
+
+@pytest.mark.parametrize("kept, doubted", [(4, True), (5, False)])
+def test_a_piece_of_which_most_is_refused_is_refused(kept: int, doubted: bool) -> None:
+    piece, stripe = of((0, 10), (1, 3)), of((2, 10), (3, 3))
+    left = of((2, kept), (-2, 10 - kept), (3, 3))
+    found = left_over(piece, stripe, left, 0.5)
+    np.testing.assert_array_equal(found, np.concatenate([np.arange(10) < kept, np.zeros(3, bool)]) & doubted)
 
 
 @pytest.mark.parametrize("rows, there", [((200, 240), False), ((100, 400), True), ((0, 60), True)])
