@@ -147,9 +147,9 @@ def test_labels_count_instead_of_those_of_the_set_or_without_one(dataset, tmp_pa
 
 
 def test_every_variant_stands_once_and_the_recipe_first(line) -> None:
-    vary = ("stages.extractor.options.threshold=15,60", "extractor=log-parabola,dominant-peak")
+    vary = ("stages.extractor.options.threshold=15,60", "extractor=maximum-likelihood,dominant-peak")
     made = variants_of(line(1), *vary)
-    assert [variant.name for variant in made] == ["recipe", "log-parabola", "threshold=15"]
+    assert [variant.name for variant in made] == ["recipe", "maximum-likelihood", "threshold=15"]
     assert made[0].settings == {"extractor": "dominant-peak", "stages.extractor.options.threshold": "60"}
     local = made[1].recipe.stages["extractor"]
     assert local.options == local.stage.Options()
