@@ -147,10 +147,12 @@ def test_labels_count_instead_of_those_of_the_set_or_without_one(dataset, tmp_pa
 
 
 def test_every_variant_stands_once_and_the_recipe_first(line) -> None:
-    vary = ("stages.extractor.options.threshold=15,60", "extractor=maximum-likelihood,dominant-peak")
-    made = variants_of(line(1), *vary)
-    assert [variant.name for variant in made] == ["recipe", "maximum-likelihood", "threshold=15"]
-    assert made[0].settings == {"extractor": "dominant-peak", "stages.extractor.options.threshold": "60"}
+    """`log-parabola` has no option `start`: it is not varied with it."""
+    vary = ("stages.extractor.options.start=fixed,lowest", "extractor=log-parabola,dominant-peak")
+    sets = ["stages.extractor.options.start=lowest"]
+    made = variants_of(line(1), *vary, sets=sets)
+    assert [variant.name for variant in made] == ["recipe", "log-parabola", "start=fixed"]
+    assert made[0].settings == {"extractor": "dominant-peak", "stages.extractor.options.start": "lowest"}
     local = made[1].recipe.stages["extractor"]
     assert local.options == local.stage.Options()
 
