@@ -43,6 +43,7 @@ from benchmarks.coded import (
     verdicts,
 )
 from benchmarks.coded.cases import CASES
+from benchmarks.coded.literal import Literal
 from benchmarks.command import parser_of
 from benchmarks.pictures import Points, curves
 from benchmarks.tables import table
@@ -57,8 +58,9 @@ from roemetry_simulate.solid import Solid
 from roemetry_simulate.surface import textured
 from roemetry_tools.compare.stripes import nearest
 
-VARIANTS = ("window-tracking (belt: interruption)", "planes (margin_min: 0)")
-"""Measured beside the coders with their default options; the first is the paper to the letter."""
+LITERAL = "the paper to the letter"
+VARIANTS = (LITERAL, "planes (margin_min: 0)")
+"""Measured beside the coders with their default options."""
 
 MARGINS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0 + 1e-9)
 """Edges of the classes of margin."""
@@ -116,9 +118,12 @@ def coders_named(names: list[str]) -> Coders:
     there = {stage.entry.name: stage for stage in registry.of_kind("coder")}
     # those that count without a calibration have no planes to be right or wrong about
     known = [name for name, stage in there.items() if not registry.load(stage).capabilities.relative_numbers]
-    known += [name for name in VARIANTS if name.split(" (")[0] in there]
-    found = {}
+    known += [name for name in VARIANTS if name == LITERAL or name.split(" (")[0] in there]
+    found: dict[str, Coder[Any]] = {}
     for name in names or known:
+        if name == LITERAL:
+            found[name] = Literal()
+            continue
         base, _, option = name.removesuffix(")").partition(" (")
         if base not in there:
             raise SystemExit(f"no coder is called {base}; there are {', '.join(known)}")

@@ -294,9 +294,9 @@ class _Maker:
         if self.name == "mitsuba":
             bodies = self.whole.target_bodies(kind, f"{pose}_laser", seed)
             return _columns(self.whole.camera, self.whole.fan, bodies)
+        from roemetry_simulate.ray_caster import stripe_centres
         from roemetry_simulate.scene import rig_of
         from roemetry_simulate.targets import target_solid
-        from roemetry_simulate.truth import stripe_centres
 
         rig = rig_of(self.whole.options)
         solid = target_solid(self.whole.options, kind, pose, seed)

@@ -26,15 +26,12 @@ from benchmarks.command import parser_of
 from benchmarks.pictures import svg_file
 from roemetry.errors import DataError
 from roemetry.html import plots as svg
-from roemetry.records import Frame, Peaks
-from roemetry.records.arrays import Floats
-from roemetry_paper.dominant_peak import (
-    BinaryThreshold,
-    BinaryThresholdOptions,
-    DominantPeak,
-    DominantPeakOptions,
-)
+from roemetry.records import Frame
+from roemetry.records.arrays import Floats, Integers
+from roemetry_paper.dominant_peak import DominantPeak, DominantPeakOptions
 
+Places = tuple[Integers, Floats]
+"""Row and place along it of each peak, px."""
 LEVELS = (200.0, 120.0, 40.0)
 _WIDE, _HIGH, _LEFT, _TOP, _GAP = 520.0, 150.0, 56.0, 34.0, 62.0
 _STYLE = (
@@ -73,14 +70,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"written: {given.out / 'figure_7.svg'}, {given.out / 'figure_9.png'}")
 
 
-def dominant(frame: Frame, threshold: float) -> Peaks:
+def dominant(frame: Frame, threshold: float) -> Places:
     """Find peaks by the paper's method."""
-    return DominantPeak(DominantPeakOptions(threshold=threshold)).extract(frame)
+    peaks = DominantPeak(DominantPeakOptions(threshold=threshold)).extract(frame)
+    return peaks.row, peaks.x_px
 
 
-def above(frame: Frame, level: float) -> Peaks:
-    """Find peaks by a fixed threshold."""
-    return BinaryThreshold(BinaryThresholdOptions(threshold=level)).extract(frame)
+def above(frame: Frame, level: float) -> Places:
+    """Find the middle of each run above a fixed level; the image's border is not searched."""
+    bright = frame.pixels > int(level * frame.white / 255.0)
+    bright[[0, -1]] = bright[:, [0, -1]] = False
+    row, begin = np.nonzero(bright[:, 1:] & ~bright[:, :-1])
+    end = np.nonzero(bright[:, :-1] & ~bright[:, 1:])[1]
+    return row, 0.5 * (begin + 1 + end)
 
 
 def figure_7(
@@ -91,7 +93,7 @@ def figure_7(
     named = dict(zip("ABC", levels, strict=True))
     peaks = {f"threshold {name} ({level:g})": above(frame, level) for name, level in named.items()}
     peaks[f"dominant peak (by {threshold:g})"] = dominant(frame, threshold)
-    found = {how: one.x_px[one.row == row].tolist() for how, one in peaks.items()}
+    found = {how: x_px[at == row].tolist() for how, (at, x_px) in peaks.items()}
     panels = [_panel(0, f"a  row {row} of {frame.name}", signal, [], named)]
     shown = [*(np.where(signal > level, 255.0, 0.0) for level in levels), signal]
     for place, ((how, x_px), line) in enumerate(zip(found.items(), shown, strict=True), start=1):
@@ -137,9 +139,10 @@ def figure_9(frame: Frame, high: float, low: float, threshold: float) -> NDArray
     return np.hstack([_captioned(picture, caption) for caption, picture in pictures.items()])
 
 
-def _dotted(picture: NDArray[Any], peaks: Peaks) -> NDArray[np.uint8]:
+def _dotted(picture: NDArray[Any], places: Places) -> NDArray[np.uint8]:
     dotted = picture.astype(np.uint8)
-    dotted[peaks.row, np.floor(peaks.x_px + 0.5).astype(np.int64)] = 255
+    row, x_px = places
+    dotted[row, np.floor(x_px + 0.5).astype(np.int64)] = 255
     return dotted
 
 

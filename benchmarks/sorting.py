@@ -37,7 +37,7 @@ SETS: dict[str, tuple[str, ...]] = {
     "draws 5": ("draws=5",),
     "draws 20": ("draws=20",),
     "slices": ("uncertainty=linear", "stages.volume=slice-pchip"),
-    "slices, none": ("uncertainty=none", "stages.volume=slice-sum"),
+    "slices, none": ("uncertainty=none", "stages.volume=slice-pchip"),
     "paper's volume": ("uncertainty=linear", "stages.volume=zero-order-hold"),
     "noise unknown": ("uncertainty=linear", "stages.extractor=centre-of-gravity", "source.sensor=null"),
     "density": ("uncertainty=linear", DENSITY),

@@ -32,9 +32,9 @@ from roemetry_simulate.population import in_reach
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.mesh import lay
+from roemetry_simulate.ray_caster import stripe_centres
 from roemetry_simulate.render import Rig
 from roemetry_simulate.solid import Block, Solid
-from roemetry_simulate.truth import stripe_centres
 from roemetry_study.acceptance import Artefact, decide, measure, overall
 from roemetry_study.agreement import Operator, agreement
 from roemetry_study.gauge import simulated

@@ -33,10 +33,10 @@ from roemetry_simulate.optics import Camera, LaserFan, camera_ray, fan_through, 
 from roemetry_simulate.population import in_reach
 from roemetry_simulate.products import PRODUCTS, Drawn
 from roemetry_simulate.products.mesh import Triangles, close
+from roemetry_simulate.ray_caster import stripe_centres
 from roemetry_simulate.raycast import hit_body
 from roemetry_simulate.render import Rig, Sensor, render
 from roemetry_simulate.solid import Solid
-from roemetry_simulate.truth import stripe_centres
 from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions
 
 HERRING_ROE = Path(__file__).parents[1] / "recipes" / "herring_roe"

@@ -19,13 +19,11 @@ from roemetry.records import WIDE, Frame, Peaks, Sensor
 from roemetry.stages import Extractor
 from roemetry.stages.registry import discover
 
-TOLD = {
-    "dominant-peak": {"threshold": 30.0, "start": "lowest"},
-    "binary-threshold": {"threshold": peers.LEVEL},
-    "local-maximum": {"floor": peers.LEVEL},
-}
-"""The paper's stages have fixed thresholds: they are told the one that suits these images."""
+TOLD = {"dominant-peak": {"threshold": 30.0, "start": "lowest"}}
+"""The paper's stage has a fixed threshold: it is told the one that suits these images."""
 PEERS: dict[str, Callable[[NDArray[Any]], Found]] = {
+    "the paper: fixed threshold": peers.numpy_runs,
+    "the paper: local maxima": peers.numpy_maxima,
     "OpenCV blur + dilate + log-parabola": peers.opencv_log_parabola,
     "OpenCV blur + dilate + centre of gravity": peers.opencv_centre_of_gravity,
     "OpenCV Steger, vectorised": peers.opencv_steger,

@@ -75,6 +75,21 @@ def numpy_run_centre_of_gravity(pixels: Pixels) -> Found:
     return _found(row[first[wide]], x_px[wide])
 
 
+def numpy_runs(pixels: Pixels) -> Found:
+    """Take the middle of each run above a level: the fixed threshold of the paper's Figures 7 and 9."""
+    above = np.pad(pixels > int(LEVEL), ((0, 0), (1, 1)))
+    row, begin = np.nonzero(above[:, 1:] & ~above[:, :-1])
+    end = np.nonzero(above[:, :-1] & ~above[:, 1:])[1]
+    return _found(row, 0.5 * (begin + end - 1))
+
+
+def numpy_maxima(pixels: Pixels) -> Found:
+    """Take every maximum of a row above a level, as the paper's section 3.2 sets out."""
+    here = pixels[:, 1:-1]
+    row, before = np.nonzero((here >= pixels[:, :-2]) & (here > pixels[:, 2:]) & (here >= LEVEL))
+    return _found(row, before + 1.0)
+
+
 def opencv_steger(pixels: Pixels) -> Found:
     """Steger's lines with σ 2 px: where the second derivative across is strongest and the first one zero."""
     off = np.arange(-_REACH, _REACH + 1, dtype=np.float64)

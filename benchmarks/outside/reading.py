@@ -133,7 +133,10 @@ def read_rig(folder: Path) -> RenderedRig:
 def read_crossings(path: Path, image_size: tuple[int, int], stripes: int | None = None) -> Crossings:
     """Read one image's true crossings of so many stripes (None: any number).
 
-    Raises RigError where the file is no npz, arrays are missing, or their shapes contradict the rig's.
+    Raises
+    ------
+    RigError
+        The file is no npz, arrays are missing, or their shapes contradict the rig's.
     """
     try:
         with np.load(path, allow_pickle=False) as data:

@@ -250,7 +250,7 @@ def recipes_of(
                 if chain == "no outline":
                     data["source"].get("options", {}).pop("plain", None)
                     data["stages"].pop("outliner", None)
-                    data["stages"]["volume"] = {"use": "slice-spline"}  # no true volume
+                    data["stages"]["volume"] = {"use": "slice-pchip"}  # no true volume
             data["sinks"] = []
             made[chain] = Recipe.of(data, folder=folder)
         except RoemetryError as error:

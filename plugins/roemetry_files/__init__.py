@@ -32,6 +32,8 @@ def roemetry_stages() -> Iterable[StageEntry]:
         ("sink", "height-map", "height_map:HeightMap",
          "height_maps/<acquisition>.tif: 16-bit heights over the belt, and what was seen of them",
          "tifffile"),
+        ("sink", "mesh-files", "mesh_files:MeshFiles",
+         "meshes/<product>.ply and .stl: closed meshes with each vertex's uncertainty"),
     ):  # fmt: skip
         yield StageEntry(
             kind,

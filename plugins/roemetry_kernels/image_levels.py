@@ -158,8 +158,6 @@ _ROWS_ON, _SHARE_ON = 24, 0.25
 JPEG; lamps and marks are smaller than a quarter of the image."""
 _USUAL = 0.9  # of the rows: others may show nothing but noise
 _NEAR_BY_PX = 16.0  # two blocks of a JPEG
-_CONTRAST_ROWS_MAX = 64  # that a level is chosen from
-_PART = 0.25  # of what stripes reach above the dark: where a stripe begins
 
 
 @float_kernel
@@ -244,18 +242,6 @@ def outshone(row: NDArray[Any], x_px: Floats, amplitude: Floats, i: int, share_m
             return True
         j += 1
     return False
-
-
-def level_between(image: NDArray[Any], rise: int) -> int:
-    """Choose a grey level between the dark and the stripes, for what knows one level only.
-
-    The dark is the median of up to 64 rows spread over the image. The level lies above it by a quarter of
-    what the rows' brightest pixels reach, but for the brightest tenth of the rows, and by `rise` at least.
-    """
-    some = image[:: max(1, image.shape[0] // _CONTRAST_ROWS_MAX)]
-    dark = float(np.median(some))
-    usual = float(np.quantile(some.max(axis=1), _USUAL, method="lower"))
-    return min(round(dark + max(float(rise), _PART * (usual - dark))), int(np.iinfo(image.dtype).max))
 
 
 _LOOKED_AT = 200  # pairs of neighbours

@@ -73,14 +73,14 @@ def genicam() -> StageOptions:
 
 def tcp() -> StageOptions:
     """Give options of the outlet `tcp`."""
-    from roemetry_line.outlets.tcp import TcpOptions
+    from roemetry_line.outlets.acknowledged_lines import TcpOptions
 
     return TcpOptions(port=_NO_PORT)
 
 
 def serial() -> StageOptions:
     """Give options of the outlet `serial`."""
-    from roemetry_line.outlets.serial import SerialOptions
+    from roemetry_line.outlets.acknowledged_lines import SerialOptions
 
     return SerialOptions(device="/dev/no-serial-line")
 

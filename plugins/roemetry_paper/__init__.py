@@ -20,20 +20,6 @@ def roemetry_stages() -> Iterable[StageEntry]:
         reference=f"{_PAPER}, section 3.2",
     )
     yield StageEntry(
-        kind="extractor",
-        name="binary-threshold",
-        target="roemetry_paper.dominant_peak:BinaryThreshold",
-        summary="Middle of each run of pixels above a fixed grey level; what the paper compares against",
-        reference=f"{_PAPER}, Figures 7 and 9",
-    )
-    yield StageEntry(
-        kind="extractor",
-        name="local-maximum",
-        target="roemetry_paper.dominant_peak:LocalMaximum",
-        summary="Every local maximum of a row; what the paper compares against",
-        reference=f"{_PAPER}, section 3.2",
-    )
-    yield StageEntry(
         kind="coder",
         name="window-tracking",
         target="roemetry_paper.window_tracking:WindowTracking",

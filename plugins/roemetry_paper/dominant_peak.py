@@ -1,16 +1,15 @@
-"""The paper's peaks: dominant peaks, and what it compares them against, local maxima and runs above a level.
+"""The paper's peaks: maxima that rise above the valleys on both sides by a threshold.
 
-Lee, de Silva, Croft, Wu (2000), section 3.2 and Figures 7 and 9. Each scan walks the inner rows of a grey
-image (the first and last row and column are not searched), from left to right; in the kernels ``f`` is a
-row's grey levels. One common measurement adds what is known of each peak. Places are whole or half pixels,
-and their uncertainty is not modelled. Ours are the automatic thresholds, and the valley that is the lowest
-so far.
+Lee, de Silva, Croft, Wu (2000), section 3.2. The scan walks the inner rows of a grey image (the first and
+last row and column are not searched), from left to right; in the kernels ``f`` is a row's grey levels.
+A measurement adds what is known of each peak. Places are whole pixels, and their uncertainty is not
+modelled. Ours are the automatic threshold, and the valley that is the lowest so far.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -29,7 +28,6 @@ from roemetry_kernels.image_levels import (
     doubts,
     faint,
     grey,
-    level_between,
     plain_layout,
     scaled_level,
 )
@@ -119,88 +117,6 @@ def as_peaks(frame: Frame, scan: Scan) -> Peaks:
     return Peaks(image_size=frame.size, x_std_px=unsaid, reasons=reasons, **scan._asdict())
 
 
-class BinaryThresholdOptions(StageOptions):
-    """Options of `BinaryThreshold`."""
-
-    threshold: Annotated[float, Field(ge=0.0, le=255.0)] | Literal["auto"] = Field(
-        default=128.0,
-        description="grey level (of 0…255, scaled for deeper images) above which a pixel belongs to a "
-        "stripe. auto (not the paper's): a quarter of the way from the dark to what the image's stripes "
-        "reach, and above the noise",
-    )
-
-
-class BinaryThreshold(Extractor[BinaryThresholdOptions]):
-    """Takes the middle of each run of pixels brighter than one fixed grey level (Figures 7 and 9).
-
-    The paper shows it with a high and a low level, to say why it is not enough: a high one loses dim
-    stripes, a low one joins neighbours and takes stray light for stripes. Its place is the comparison.
-
-    Ours: the middle of the run stands for the stripe (the paper shows binary images only), so positions are
-    whole or half pixels, `x_std_px` not stated. Pixels on the image border are not searched. A run that the
-    border cuts off is flagged as being at the edge, since its middle is not known; one that fills the whole
-    row shows no stripe and is left out.
-    """
-
-    Options: ClassVar[type[StageOptions]] = BinaryThresholdOptions
-    capabilities = Capabilities(tolerance_px=0.5)
-    expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType(
-        {
-            "check_brightness_does_not_matter": "the threshold is a fixed grey level: a stripe is found only "
-            "while it is brighter, and the run above the level grows with its brightness",
-        }
-    )
-
-    def extract(self, frame: Frame) -> Peaks:
-        """Find the runs of all rows but the first and the last."""
-        # numba: loaded only when something runs
-        stated = self.options.threshold
-        threshold = level_of(frame) if stated == "auto" else math.floor(scaled_level(stated, frame))
-        return as_peaks(frame, runs_above(grey(frame), threshold, white=frame.white))
-
-
-def level_of(frame: Frame) -> int:
-    """Choose a grey level between the dark and the stripes."""
-    return level_between(grey(frame), rise_of(frame))
-
-
-class LocalMaximumOptions(StageOptions):
-    """Options of `LocalMaximum`."""
-
-    floor: Annotated[float, Field(ge=0.0, le=255.0)] | Literal["auto"] = Field(
-        default=0.0,
-        description="grey level (of 0…255, scaled for deeper images) which a maximum must reach to count. "
-        "auto (not the paper's): a quarter of the way from the dark to what the image's stripes reach, and "
-        "above the noise",
-    )
-
-
-class LocalMaximum(Extractor[LocalMaximumOptions]):
-    """Takes every maximum of a row (Lee et al. 2000, section 3.2, step 1).
-
-    A maximum is a pixel not lower than the one before it and higher than the one after it. One stripe gives
-    several, and so does the dark between stripes: noise alone makes about one pixel in three a maximum.
-    That is what the paper shows it for; as an extractor its place is the comparison. Positions are whole
-    pixels, `x_std_px` is not stated. A step halfway down a slope is a maximum too, with amplitude 0.
-    """
-
-    Options: ClassVar[type[StageOptions]] = LocalMaximumOptions
-    capabilities = Capabilities(tolerance_px=0.55, saturated_tolerance_px=3.0)
-    expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType(
-        {
-            "check_dark_rows_give_nothing": "every maximum counts, those of the noise in the dark too: about "
-            "one pixel in three is one",
-        }
-    )
-
-    def extract(self, frame: Frame) -> Peaks:
-        """Find the maxima of all rows but the first and the last."""
-        # numba: loaded only when something runs
-        stated = self.options.floor
-        floor = level_of(frame) if stated == "auto" else math.ceil(scaled_level(stated, frame))
-        return as_peaks(frame, local_maxima(grey(frame), floor, white=frame.white))
-
-
 class Scan(NamedTuple):
     """What a scan found, one element a peak, sorted by row, then x: the fields of `Peaks` it can fill.
 
@@ -218,8 +134,7 @@ class Scan(NamedTuple):
     width_px : ndarray of float64, shape (peak,)
         Full width at half of the amplitude, px; NaN where the amplitude is 0.
     flags : ndarray of uint8, shape (peak,)
-        Sum of `SATURATED` (at the white level) and `EDGE` (within 2 px of the left or right border pixel,
-        or a run that the border cuts off).
+        Sum of `SATURATED` (at the white level) and `EDGE` (within 2 px of the left or right border pixel).
     """
 
     row: Integers
@@ -245,33 +160,12 @@ def dominant_peaks(image: Pixels, threshold: int, *, lowest: bool, white: int) -
     white
         Grey level from which on a pixel is saturated.
     """
-    return _scan(_scan_dominant, image, white, threshold, lowest)
-
-
-def local_maxima(image: Pixels, floor: int, *, white: int) -> Scan:
-    """Find every maximum of at least `floor` grey levels; the other parameters as for `dominant_peaks`.
-
-    A maximum is a pixel that is not lower than the one before it and higher than the one after it. So the
-    last pixel of a plateau is one, even of a step halfway down a slope (which has amplitude 0).
-    """
-    return _scan(_scan_maxima, image, white, floor, False)
-
-
-def runs_above(image: Pixels, threshold: int, *, white: int) -> Scan:
-    """Find the middles of runs of pixels above `threshold`; the other parameters as for `dominant_peaks`.
-
-    A run that the border cuts off on one side is flagged `EDGE`; one that fills the row is no stripe.
-    """
-    return _scan(_scan_runs, image, white, threshold, False)
-
-
-def _scan(kernel: Callable[..., int], image: Pixels, white: int, level: int, lowest: bool) -> Scan:
     pixels = plain_layout(image)
     room = _PEAKS_A_ROW * pixels.shape[0]
     while True:
         row, at = np.empty(room, np.int64), np.empty(room, np.int64)
         x_px, flags = np.empty(room, np.float64), np.empty(room, np.uint8)
-        count = kernel(pixels, level, lowest, row, at, x_px, flags)
+        count = _scan_dominant(pixels, threshold, lowest, row, at, x_px, flags)
         if count <= room:
             break
         room = count
@@ -352,58 +246,6 @@ def _scan_dominant(
                 flags[count] = 0
             count += 1
             x += 1
-    return count
-
-
-@kernel
-def _scan_maxima(
-    image: Pixels, floor: int, _: bool, row: Integers, at: Integers, x_px: Floats, flags: Bytes
-) -> int:
-    """Find every maximum by the definition of section 3.2."""
-    rows, columns = image.shape
-    count = 0
-    for y in range(1, rows - 1):
-        f = image[y]
-        for x in range(1, columns - 1):
-            if f[x + 1] < f[x] and f[x] >= f[x - 1] and f[x] >= floor:
-                if count < row.shape[0]:
-                    row[count] = y
-                    at[count] = x
-                    x_px[count] = x
-                    flags[count] = 0
-                count += 1
-    return count
-
-
-@kernel
-def _scan_runs(
-    image: Pixels, threshold: int, _: bool, row: Integers, at: Integers, x_px: Floats, flags: Bytes
-) -> int:
-    """Find runs above a level; `at` is the first highest pixel of a run, where it is measured."""
-    rows, columns = image.shape
-    last = columns - 2
-    count = 0
-    for y in range(1, rows - 1):
-        f = image[y]
-        x = 1
-        while x <= last:
-            if f[x] <= threshold:
-                x += 1
-                continue
-            first = x
-            top = x
-            while x <= last and f[x] > threshold:
-                if f[x] > f[top]:
-                    top = x
-                x += 1
-            if first == 1 and x > last:
-                continue
-            if count < row.shape[0]:
-                row[count] = y
-                at[count] = top
-                x_px[count] = 0.5 * (first + x - 1)
-                flags[count] = EDGE if first == 1 or x > last else 0
-            count += 1
     return count
 
 

@@ -3,19 +3,12 @@
 The paper follows each stripe with a small window from the belt to where it is interrupted, numbers belt
 segments from left to right, and gives what is left, in order, to the interrupted stripes. Two of its steps
 are unsafe: a follower walks from belt to product wherever the surface rises gently, and a stripe whose body
-is hidden shifts the number of every body to its right. So here, by default,
+is hidden shifts the number of every body to its right. So here
 
 * fragments are cut where they join or leave a *rest line*, and a point is belt only if it lies on its own;
 * what the paper does once for the whole image, by order, is done for every image row: where a row shows as
   many bodies as there is room for between two known stripes, each is certain. A segment takes the stripe
   that its rows agree on. Where they leave a choice, its peaks are refused as ambiguous.
-
-``belt: interruption`` does it the paper's way, to show what that gives.
-
-The letter of the paper, kept to show what it does: (a) Follow each line from the top row down with a 3 × 3
-window until it ends; number the lines from left to right; remove them. (b) The same from the bottom row up.
-(c) Follow what is left with a window 3 rows high and 14 pixels wide, drop small areas, and give the bodies,
-in order, to the stripes that were interrupted.
 """
 
 from __future__ import annotations
@@ -53,19 +46,8 @@ from roemetry_kernels.tracing import cut_at_rest_lines, trace_fragments
 class WindowTrackingOptions(BridgingOptions):
     """Windows, gaps and areas of the tracking."""
 
-    belt: Literal["rest-line", "interruption"] = Field(
-        default="rest-line",
-        description="what makes a point belt: lying on its stripe's rest line, or (the paper, literally) "
-        "being traced before the first interruption",
-    )
     stripe_count: int | None = Field(
         default=None, ge=1, description="stripes to expect; default: as the calibration says, else as seen"
-    )
-    belt_window_px: int = Field(
-        default=3,
-        ge=1,
-        le=99,
-        description="width of the window on the belt, px; used by `belt: interruption` alone",
     )
     body_window_px: int = Field(default=14, ge=1, le=99, description="width of the window on the body, px")
     smallest_area_px: int = Field(default=10, ge=1, description="fragments with fewer peaks are noise")
@@ -151,11 +133,6 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         if rest is None:
             rest, stripe, margin = self._pieces(peaks, fragment, fragments)
             reasons.append(_NO_BELT)
-        elif options.belt == "interruption":
-            stripe, margin = literal_codes(
-                peaks, rest.x_px, options.belt_window_px, options.body_window_px, options.smallest_area_px
-            )
-            reasons.append(_LITERAL)
         else:
             stripe, margin, said = self._from_belt(peaks, rest, fragment, fragments, calibration)
             reasons += said
@@ -431,10 +408,6 @@ def drop_doubles(peaks: Peaks, stripe: Integers, line: Integers, segment_rows: I
     return result
 
 
-_LITERAL = Reason(
-    "literal-coding",
-    "labelled the paper's way, by interruption and order: a hidden body shifts codes without notice",
-)
 _NO_BELT = Reason(
     "no-belt",
     "there is no calibration, and no belt at the image's top and bottom to number the stripes by: each "
@@ -494,68 +467,6 @@ def _displacements(rest: RestLines, live: Integers, calibration: Calibration | N
     near = 0.0 if view is None or view.telecentric else 1.0 / float(view.camera_mm[2])
     ends = np.stack([per_mm * height / (1.0 - height * near) for height in calibration.height_range_mm])
     return ends.min(axis=0) - rest.tolerance_px, ends.max(axis=0) + rest.tolerance_px
-
-
-_JOIN_ROWS = 20  # rows of a break over which a body goes on: as long a gap as is bridged
-
-
-def literal_codes(
-    peaks: Peaks, rest_px: Floats, belt_window_px: int, body_window_px: int, smallest_area_px: int
-) -> tuple[Integers, Floats]:
-    """Code by interruption and order.
-
-    Parameters
-    ----------
-    peaks
-        The frame's peaks.
-    rest_px
-        (stripe, row) rest lines; only their number is used.
-    belt_window_px, body_window_px
-        Widths of the windows, px.
-    smallest_area_px
-        Bodies with fewer peaks are noise.
-
-    Returns
-    -------
-    tuple
-        (peak,) stripe or `UNLABELLED`, and (peak,) NaN: this way of coding has no margin.
-    """
-    stripes, rows = rest_px.shape
-    stripe = np.full(len(peaks), UNLABELLED, np.int64)
-    fragment, _ = trace_fragments(peaks.row_start, peaks.x_px, (belt_window_px - 1) / 2)
-    present = np.flatnonzero(np.diff(peaks.row_start))
-    first, last = present[0], present[-1]
-    top = fragment[peaks.row_start[first] : peaks.row_start[first + 1]]
-    bottom = fragment[peaks.row_start[last] : peaks.row_start[last + 1]]
-    for number, line in enumerate(top[:stripes]):
-        stripe[fragment == line] = number
-    for number, line in enumerate(bottom[:stripes]):
-        stripe[(fragment == line) & (stripe == UNLABELLED)] = number
-    whole = set(top[:stripes]) & set(bottom[:stripes])
-    interrupted = [number for number, line in enumerate(top[:stripes]) if line not in whole]
-
-    left = np.flatnonzero(stripe == UNLABELLED)
-    start = np.searchsorted(peaks.row[left], np.arange(rows + 1))
-    body, bodies = trace_fragments(start, peaks.x_px[left], body_window_px / 2)
-    areas = [np.flatnonzero(body == number) for number in range(bodies)]
-    chains = _chains([left[area] for area in areas if area.size >= smallest_area_px], peaks, body_window_px)
-    for number, chain in zip(interrupted, chains, strict=False):
-        stripe[chain] = number
-    return stripe, np.full(len(peaks), np.nan)
-
-
-def _chains(bodies: list[Integers], peaks: Peaks, window_px: int) -> list[Integers]:
-    """Join bodies that continue one another over a short gap; give them from left to right."""
-    chains: list[Integers] = []
-    for body in sorted(bodies, key=lambda area: int(peaks.row[area[0]])):
-        for index, chain in enumerate(chains):
-            gap = peaks.row[body[0]] - peaks.row[chain[-1]]
-            if 0 < gap <= _JOIN_ROWS and abs(peaks.x_px[body[0]] - peaks.x_px[chain[-1]]) <= window_px:
-                chains[index] = np.concatenate([chain, body])
-                break
-        else:
-            chains.append(body)
-    return sorted(chains, key=lambda chain: float(peaks.x_px[chain].mean()))
 
 
 _BELT_END_ROWS = 12

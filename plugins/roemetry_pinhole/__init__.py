@@ -19,10 +19,10 @@ _STAGES = (
     ("triangulator", "pinhole-dots", "dot_rays:PinholeDots",
      "Each dot's place on its ray, by the covariances of both",
      "Hartley and Zisserman (2004), chapter 12, with one ray known"),
-    ("calibrator", "pinhole-grid", "grid_calibrator:PinholeGridCalibrator",
+    ("calibrator", "pinhole-grid", "grid:PinholeGridCalibrator",
      "Camera, lens, the planes of both families of a grid, and belt from a board in many poses",
      "As pinhole-plane; families joined by conditional expectation, Rao (1973), 8a.2"),
-    ("triangulator", "pinhole-grid", "grid_planes:PinholeGrid",
+    ("triangulator", "pinhole-grid", "grid:PinholeGrid",
      "Each peak's undistorted ray meets its line's plane of light, of either family",
      "Hartley and Zisserman (2004), chapters 6 and 7"),
 )  # fmt: skip

@@ -234,8 +234,10 @@ class Marks:
 def find_marks(frame: Frame, board: Board) -> Marks:
     """Find a board.
 
-    Raises BoardNotFoundError: it cannot be used, with the reason: not there, blurred, tiny, cut off,
-    mirrored, another board.
+    Raises
+    ------
+    BoardNotFoundError
+        It cannot be used, with the reason: not there, blurred, tiny, cut off, mirrored, another board.
     """
     import cv2
 

@@ -290,7 +290,10 @@ def adjust(
 
     `foot_std_mm` is the standard uncertainty of the feet's heights, of all or of each.
 
-    Raises CalibrationError: what was seen does not determine the unknowns.
+    Raises
+    ------
+    CalibrationError
+        What was seen does not determine the unknowns.
     """
     weights = Weights(1.0, 1.0, np.ones(corners.pose.size), np.ones(points.pose.size))
     problem = Problem(unknowns, corners, points, feet, foot_std_mm, weights, edges)

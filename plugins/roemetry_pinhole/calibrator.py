@@ -118,9 +118,12 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
     def calibrate(self, observed: CalibrationSet) -> Calibration:
         """Calibrate.
 
-        Raises CalibrationError: no board is described or seen, too few poses or too little variety, a stripe
-        on fewer than two boards, no belt, a scale that two targets contradict, planes that do not agree, or
-        residuals that are no noise; with what was left out and why.
+        Raises
+        ------
+        CalibrationError
+            No board is described or seen, too few poses or too little variety, a stripe on fewer than two
+            boards, no belt, a scale that two targets contradict, planes that do not agree, or residuals
+            that are no noise; with what was left out and why.
         """
 
         def made(some: CalibrationSet) -> Calibration:
@@ -296,7 +299,10 @@ def levelled(adjusted: Adjusted, middle_mm: Floats, gravity: Floats, std_deg: fl
     `middle_mm` and `gravity`, downwards and of any length, are (3,) in the camera's frame of the turned image
     (x right, y down, z forward), `std_deg` is the standard uncertainty of gravity's direction, degrees.
 
-    Raises CalibrationError: the camera does not look down onto the level plane.
+    Raises
+    ------
+    CalibrationError
+        The camera does not look down onto the level plane.
     """
     length = float(np.linalg.norm(gravity))
     down = gravity / (length or 1.0)

@@ -17,7 +17,7 @@ from roemetry_pinhole.pinhole_plane import METHOD, derived, flat
 if TYPE_CHECKING:
     from roemetry.testing import LinearRig
     from roemetry.testing.dots import DotRig
-    from roemetry.testing.grids import GridRig
+    from roemetry.testing.scenes import GridRig
 
 
 _FAR_MM = 1e7  # a camera ten kilometres up sees in parallel
@@ -86,8 +86,8 @@ def _near_planes(rig: LinearRig) -> Floats:
 
 def grid_of(rig: GridRig) -> Calibration:
     """Give the calibration of a rig with a grid, by the camera so far away."""
-    from roemetry_pinhole.grid_planes import ACROSS, TURN
-    from roemetry_pinhole.grid_planes import METHOD as GRID
+    from roemetry_pinhole.grid import ACROSS, TURN
+    from roemetry_pinhole.grid import METHOD as GRID
 
     upright, across = calibration_of(rig), calibration_of(rig.across)
     parameters = {**upright.parameters, ACROSS: across.parameters["planes_per_mm"] @ TURN}
@@ -100,7 +100,7 @@ def grid_of(rig: GridRig) -> Calibration:
 @lru_cache(maxsize=4)
 def grid_observed_of(rig: GridRig) -> CalibrationSet:
     """Give the chessboard in many poses under a grid whose lines scatter a little, and the belt."""
-    from roemetry_pinhole.grid_planes import TURN
+    from roemetry_pinhole.grid import TURN
 
     planes, observed = _near_planes(rig.across), observed_of(rig)
     observations = []

@@ -52,9 +52,11 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
     def calibrate(self, observed: CalibrationSet) -> Calibration:
         """Calibrate.
 
-        Raises CalibrationError: no board, too few poses, no board on the belt or no image of the empty belt,
-        dots that are not the pattern's, that cannot be numbered or do not agree; with what was left out and
-        why.
+        Raises
+        ------
+        CalibrationError
+            No board, too few poses, no board on the belt or no image of the empty belt, dots that are not
+            the pattern's, that cannot be numbered or do not agree; with what was left out and why.
         """
         options, count = self.options, observed.stripe_count * self.options.lines
         if observed.board is None:

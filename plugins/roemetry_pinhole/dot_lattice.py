@@ -79,7 +79,10 @@ def followed(xy_px: Floats) -> Integers:
 def on_belt(xy_px: Floats, columns: int, lines: int, name: str) -> Integers:
     """Number the dots on the empty belt: (n, 2) column and line, −1 of what is none.
 
-    Raises CalibrationError: the dots that are seen are not the pattern's: of another number, or swapped.
+    Raises
+    ------
+    CalibrationError
+        The dots that are seen are not the pattern's: of another number, or swapped.
     """
     at = followed(xy_px)
     seen = at[at[:, 0] >= 0]
@@ -109,8 +112,12 @@ def numbered_on_boards(
 
     Of the belt's dots (n, 3) places, whose Z is 0, and (n, 2) column and line are given; of each board's
     (m, 3) places in the same frame, and (m, 2) where they are seen. Gives of each board (m, 2) column and
-    line, −1 of what is no dot, and the point the light comes from, (3,). Raises CalibrationError: no point
-    of light explains the boards' dots, or two do.
+    line, −1 of what is no dot, and the point the light comes from, (3,).
+
+    Raises
+    ------
+    CalibrationError
+        No point of light explains the boards' dots, or two do.
     """
     count = belt_at.max(axis=0) + 1
     index = np.full(count, -1)

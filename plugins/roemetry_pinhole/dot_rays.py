@@ -79,7 +79,10 @@ class FoundRays:
 def adjusted_rays(marks: Adjusted, points: DotPoints, count: int) -> FoundRays:
     """Adjust rays, and with them camera, poses and belt.
 
-    Raises CalibrationError: no ray is seen on enough surfaces.
+    Raises
+    ------
+    CalibrationError
+        No ray is seen on enough surfaces.
     """
     geometry, unknowns = marks.geometry, marks.unknowns
     information = np.linalg.inv(marks.covariance)
@@ -186,8 +189,11 @@ class PinholeDots(Triangulator[StageOptions]):
     def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
         """Give a slice for each column of dots, each point in the row its dot lies in.
 
-        Raises StageError: the calibration has no rays, the map no dots, or they are of another number of
-        stripes or rows.
+        Raises
+        ------
+        StageError
+            The calibration has no rays, the map no dots, or they are of another number of stripes or
+            rows.
         """
         rays, dots = calibration.rays, stripes.dots
         if rays is None or dots is None:

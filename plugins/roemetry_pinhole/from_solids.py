@@ -3,9 +3,9 @@
 Model. By a first geometry (solids.py) each peak is lifted onto its plane of light and goes to the face of
 the solid, or to the belt, on which it then lies within a share of the height; where a stripe leaves a face
 over a wall, the place in the image is an observation of that edge. All is adjusted together (bundle.py), and
-peaks go to faces anew with a narrower share, seven times. Stripes that change places at a rim are told apart
-by the surface that either order would lie on. Of ways round that a staircase may lie, that with the least
-residuals is taken. What the solid's own tolerances do is found by adjusting again with each length longer.
+peaks go to faces anew with a narrower share, seven times. Of ways round that a staircase may lie, that with
+the least residuals is taken. What the solid's own tolerances do is found by adjusting again with each length
+longer.
 
 It fails where a stripe lies on one surface only (its plane may turn about its line) and where edges and
 faces do not tell the belt's distance: both are refused.
@@ -31,8 +31,6 @@ from roemetry_pinhole.solids import (
     footprint,
     inside,
     numbered,
-    off_surface,
-    renumbered,
     shape_of,
     start_of,
     toleranced,
@@ -41,7 +39,6 @@ from roemetry_pinhole.solids import (
 _GAP_ROWS_MAX = 3.0
 """Rows between a face's last peak and the next one: over a wider gap the edge may be anywhere."""
 _ON_FACE_MIN = 4  # peaks of a stripe on a face before its end is taken for an edge
-_RIM_SHARE = 0.1  # of the solid's extent: within it of a rim, the surface on either side of it counts
 _EDGE_PX = 0.6
 """Standard uncertainty of an edge between two rows, px: rectangular over a row, chamfer and blur as much
 again."""
@@ -161,19 +158,6 @@ def _on_solid(geometry: Geometry, view: Numbered, pose: int) -> Floats:
     return np.asarray((view.ray * depth[:, None] - geometry.shift[pose]) @ geometry.rotation[pose])
 
 
-def righted(geometry: Geometry, view: Numbered, shape: Shape, pose: int) -> Numbered:
-    """Exchange the numbers of neighbours that a solid's rim has made change places."""
-    stripes = len(geometry.planes)
-    off = np.full((3, view.stripe.size), np.inf)
-    for row, step in enumerate((-1, 0, 1)):
-        other = view.stripe + step
-        there = (other >= 0) & (other < stripes)
-        moved = replace(view, stripe=np.clip(other, 0, stripes - 1))
-        near = off_surface(shape, _on_solid(geometry, moved, pose), _RIM_SHARE * shape.along_mm)
-        off[row] = np.where(there, near, np.inf)
-    return renumbered(view, off)
-
-
 def _faces(xyz: Floats, shape: Shape, off_mm: float, rim_mm: float) -> tuple[Integers, np.ndarray]:
     """(peak,) face, −1 belt, −2 none; and whether it is well within its rim."""
     face = np.full(len(xyz), _NOWHERE)
@@ -225,8 +209,6 @@ _ROUNDS = (
 )
 """Of each round: how far off a face points may be, in heights; how far within its rim, in
 extents; how many points."""
-_RIGHTED_FROM = 3
-"""Stripes that change places at a rim are told apart only by a geometry that is nearly right."""
 _LIES_STD_MM = 0.01  # how well a machined solid lies on the belt, mm
 _SURFACE_POINTS_MIN = 12  # points of a stripe on a surface: two such surfaces determine its plane
 _HEIGHT_RELATIVE_MAX = 0.05
@@ -263,8 +245,10 @@ def from_solids(
     `boards` are their marks, with the camera and poses to start with; `free_camera` (12,) says which of the
     camera's numbers are looked for; `belt` (3,) b·X = 1 is where boards on it say, else None.
 
-    Raises CalibrationError: a solid is not seen, a stripe is seen on one level only, or the belt is not
-    determined.
+    Raises
+    ------
+    CalibrationError
+        A solid is not seen, a stripe is seen on one level only, or the belt is not determined.
     """
     camera, stripes = boards.start.camera, observed.stripe_count
     bare = [numbered(view, camera, stripes) for view in observed.showing("belt")]
@@ -333,11 +317,10 @@ def _fitted(
     )
     size = observed.observations[0].frame.size
     under = [shape.along_mm * _UNDER for shape in shapes]
-    right = views
     for number, (off, rim, most) in enumerate(_ROUNDS):
         last = number + 1 == len(_ROUNDS)
         found = assigned(
-            geometry, bare, right, shapes, first_pose, size, off_share=off, rim_share=rim, points_max=most
+            geometry, bare, views, shapes, first_pose, size, off_share=off, rim_share=rim, points_max=most
         )
         _check_surfaces(found, stripes, views[0].name, _SURFACE_POINTS_MIN if last else 3)
         points, edges = found.placed(shapes)
@@ -345,11 +328,6 @@ def _fitted(
         if last:
             break
         geometry = measured.robust_prefit()
-        if number >= _RIGHTED_FROM:
-            right = [
-                righted(geometry, view, shape, first_pose + place)
-                for place, (view, shape) in enumerate(zip(views, shapes, strict=True))
-            ]
     return _Fit(measured, measured.adjusted(), found)
 
 

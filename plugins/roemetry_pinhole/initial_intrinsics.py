@@ -76,7 +76,10 @@ def first_camera(
     it is known, `tried` the number of poses there were, for messages, and `least_if_known` the number that is
     needed where the camera is known.
 
-    Raises CalibrationError: too few poses, or poses too much alike.
+    Raises
+    ------
+    CalibrationError
+        Too few poses, or poses too much alike.
     """
     views = list(seen.views)
     least = _POSES_MIN if known is None else least_if_known

@@ -43,8 +43,11 @@ tens."""
 def with_known_planes(observed: CalibrationSet, camera: Floats | None, planes: Floats) -> Measured:
     """Give the belt's stripes, to be adjusted with camera (12,) and planes (stripe, 3) p·X = 1 as they are.
 
-    Raises CalibrationError: no camera, another number of planes than stripes, one stripe alone, no image of
-    the belt, or the stripes on it do not lie where the planes could meet one belt.
+    Raises
+    ------
+    CalibrationError
+        No camera, another number of planes than stripes, one stripe alone, no image of the belt, or the
+        stripes on it do not lie where the planes could meet one belt.
     """
     if camera is None:
         raise CalibrationError(
@@ -231,7 +234,10 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
     the standard uncertainty is that of leaving out runs of consecutive images, where that is larger and there
     are many (delete-group jackknife; Shao, Wu 1989, Ann. Statist. 17:1176).
 
-    Raises CalibrationError: no board is described, too few poses, or poses too much alike.
+    Raises
+    ------
+    CalibrationError
+        No board is described, too few poses, or poses too much alike.
     """
     if observed.board is None:
         raise CalibrationError(

@@ -27,8 +27,10 @@ _PLANES = ("planes", "laser_planes")
 def read_camera(path: Path) -> Floats:
     """Give (12,) fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6 from OpenCV's file or a calibration of ours.
 
-    Raises DataError: there is no such file, or it holds no camera matrix, or a lens model this program does
-    not know.
+    Raises
+    ------
+    DataError
+        There is no such file, or it holds no camera matrix, or a lens model this program does not know.
     """
     try:
         with path.open(encoding="utf-8") as file:
@@ -63,7 +65,10 @@ def read_camera(path: Path) -> Floats:
 def plane_from(a: float, b: float, c: float, d: float, *, sign: int) -> Floats:
     """Give (3,) p·X = 1 from Ax + By + Cz + D = 0 (`sign` = 1) or Ax + By + Cz = D (`sign` = −1), mm.
 
-    Raises DataError: the plane goes through the origin, the camera's centre: it measures nothing.
+    Raises
+    ------
+    DataError
+        The plane goes through the origin, the camera's centre: it measures nothing.
     """
     distance = -sign * d
     size = float(np.sqrt(a * a + b * b + c * c))

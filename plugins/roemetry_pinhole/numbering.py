@@ -109,8 +109,10 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
 
     Lines on the empty `belt`, where its place is known, are one more pose, in which nothing hides a stripe.
 
-    Raises CalibrationError: a stripe lies on fewer than two boards, or more planes are seen than there are
-    stripes.
+    Raises
+    ------
+    CalibrationError
+        A stripe lies on fewer than two boards, or more planes are seen than there are stripes.
     """
     kept = [pose for pose in poses if pose.count]
     left_out: dict[str, str] = {}

@@ -16,11 +16,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from roemetry.calibrating.sphere_plate import centres, place_of
 from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, WIDE, CalibrationSet, Observation, Peaks, SpherePlate
 from roemetry.records.arrays import Flags, Floats, Integers
@@ -35,10 +35,7 @@ BELT_MM = 0.6
 """A peak this near to the belt on any stripe may be belt, and is not used."""
 _CAP_RISE_MIN = 0.35
 """Points are used where the ball's surface rises by less than some 70°: further down it shades itself."""
-_WAYS = 72
-"""Directions in which a point votes for its ball's centre: 5°, a cell of the votes at a ball's radius."""
-_ANCHORS = 8  # highest votes that are tried as a ball: some are shadows
-_YAWS_DEG = np.arange(-45.0, 46.0, 1.0)
+_TURN_MAX_DEG = 45.0  # as targets are laid: a square grid turned by more is one turned by less
 _ROUNDS = (0.20, 0.12, 0.08, 0.05, 0.05, 0.05)
 """Of each round, how far off a ball its points may be, in radii."""
 _STEPS = 4  # Gauss–Newton steps of a round; the points are chosen anew after them
@@ -125,7 +122,7 @@ def find_plate(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePlat
     stripe, x_px, row_px = stripe[use], x_px[use], row_px[use]
     up, down = (points_of(parameters, stripe, x_px + way, row_px) for way in (0.25, -0.25))
     near = _Near(stripe, x_px, row_px, at[use], (up - down) / 0.5)
-    found = _fitted(near, plate, _first(near.at_mm, plate))
+    found = _fitted(near, plate, np.append(place_of(near.at_mm, plate, _TURN_MAX_DEG), 1.0))
     # a peak is one, however many stripes it might belong to
     explained = 0.0 if found is None else found.ball.size / np.unique(peak[use]).size
     return found if explained > _EXPLAINED_MIN else None
@@ -152,63 +149,6 @@ def off_balls(at_mm: Floats, ball: Integers, plate: SpherePlate, pose: Floats) -
     way = at_mm - centres(plate, pose)[ball]
     size = np.sqrt((way**2).sum(axis=1))
     return size - 0.5 * pose[3] * plate.diameter_mm, way / size[:, None]
-
-
-def centres(plate: SpherePlate, pose: Floats) -> Floats:
-    """Give (ball, 3) the balls' centres in the belt frame, mm."""
-    u = (np.arange(plate.columns) - 0.5 * (plate.columns - 1)) * plate.pitch_mm
-    v = (np.arange(plate.rows) - 0.5 * (plate.rows - 1)) * plate.pitch_mm
-    grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
-    cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    xy = pose[3] * grid @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
-    return np.column_stack([xy, np.full(len(xy), pose[3] * plate.centre_height_mm)])
-
-
-def _first(at: Floats, plate: SpherePlate) -> Floats:
-    """Pose by votes: each point says on which circle the centre of its ball lies."""
-    radius = 0.5 * plate.diameter_mm
-    cell = 0.08 * radius
-    reach = np.sqrt(np.maximum(radius**2 - (at[:, 2] - plate.centre_height_mm) ** 2, 0.0))
-    turn = 2.0 * np.pi * np.arange(_WAYS) / _WAYS
-    x = (at[:, 0, None] + reach[:, None] * np.cos(turn)).ravel()
-    y = (at[:, 1, None] + reach[:, None] * np.sin(turn)).ravel()
-    low = np.array([x.min(), y.min()]) - 2.0 * cell
-    size = [int(np.ptp(one) / cell) + 6 for one in (x, y)]
-    voted = ((x - low[0]) / cell).astype(int) * size[1] + ((y - low[1]) / cell).astype(int)
-    votes = np.bincount(voted, minlength=size[0] * size[1]).reshape(size).astype(np.float64)
-    for axis in (0, 1):
-        votes = votes + np.roll(votes, 1, axis) + np.roll(votes, -1, axis)
-    # one ball with many stripes must not outvote the others
-    votes = np.sqrt(votes)
-    anchors = low + (_peaks_of(votes, int(radius / cell)) + 0.5) * cell
-    yaws = np.radians(_YAWS_DEG)
-    flat = _turned(plate)
-    # (anchor, yaw, ball at the anchor, other ball)
-    at_all = anchors[:, None, None, None] + flat[None, :, None] - flat[None, :, :, None]
-    place = np.floor((at_all - low) / cell).astype(int)
-    inside = np.asarray(((place >= 0) & (place < votes.shape)).all(axis=-1))
-    u, v = np.moveaxis(np.where(inside[..., None], place, 0), -1, 0)
-    score = (votes[u, v] * inside).sum(axis=-1)
-    which, turn, ball = np.unravel_index(score.argmax(), score.shape)
-    return np.array([*(anchors[which] - flat[turn, ball]), yaws[turn], 1.0])
-
-
-@lru_cache(maxsize=8)
-def _turned(plate: SpherePlate) -> Floats:
-    """(yaw, ball, 2) centres of the balls of a plate at the origin, mm, for each turn that is tried."""
-    yaws = np.radians(_YAWS_DEG)
-    return np.stack([centres(plate, np.array([0.0, 0.0, yaw, 1.0]))[:, :2] for yaw in yaws])
-
-
-def _peaks_of(votes: Floats, apart: int) -> Floats:
-    """(anchor, 2) the highest cells, none nearer to another than so many cells."""
-    left = votes.copy()
-    found = []
-    for _ in range(_ANCHORS):
-        u, v = np.unravel_index(left.argmax(), left.shape)
-        found.append((u, v))
-        left[max(u - apart, 0) : u + apart + 1, max(v - apart, 0) : v + apart + 1] = 0.0
-    return np.array(found, np.float64)
 
 
 def _fitted(near: _Near, plate: SpherePlate, pose: Floats) -> Plate | None:
@@ -334,8 +274,11 @@ def from_plate(
 
     The other parameters are those of `from_solids`.
 
-    Raises CalibrationError: the belt is not known or its empty image is missing; the plate is not seen; a
-    stripe lies on no ball.
+    Raises
+    ------
+    CalibrationError
+        The belt is not known or its empty image is missing; the plate is not seen; a stripe lies on no
+        ball.
     """
     if belt is None or not observed.showing("belt"):
         raise CalibrationError(

@@ -68,7 +68,10 @@ def scaled_by_references(
     `joined` is the adjustment with the board's pitch as described, `observed` holds the references' images,
     and `made` gives the calibration of an adjustment, its covariance without that of any length.
 
-    Raises CalibrationError: there is no reference, or two contradict each other.
+    Raises
+    ------
+    CalibrationError
+        There is no reference, or two contradict each other.
     """
     if joined.board is None or joined.solids is not None:
         raise CalibrationError(
@@ -202,8 +205,10 @@ def check_scale(
 ) -> dict[str, Any]:
     """Measure solids, the prints and the belt's way; give residuals and notes with what was found.
 
-    Raises CalibrationError: one contradicts what the scale comes from: the ratio and its uncertainty are
-    told.
+    Raises
+    ------
+    CalibrationError
+        One contradicts what the scale comes from: the ratio and its uncertainty are told.
     """
     residuals, notes = dict(calibration.residuals), list(calibration.notes)
     kind, board = str(calibration.target.get("kind", "known planes")), observed.board
@@ -360,7 +365,10 @@ def check_solids(
     `made` gives the calibration of a set, or raises CalibrationError. Gives residuals and notes; of solids
     that the others could not do without, a note.
 
-    Raises CalibrationError: one contradicts the others: the ratio and its uncertainty are told.
+    Raises
+    ------
+    CalibrationError
+        One contradicts the others: the ratio and its uncertainty are told.
     """
     residuals: dict[str, float] = {}
     notes: list[str] = []

@@ -5,7 +5,7 @@ belt). Stripes are numbered by their order in the rows in which all of them are 
 stripe's plane goes through its line on the bare belt and through its peaks on the solid's highest level,
 which are lifted by the known height: so belt and height give all planes, and what lies between must lie on
 the solid's faces. The belt's distance follows from the solid's extent; distances about it and tilts are
-tried, and the best is refined by a simplex (Nelder and Mead 1965).
+tried, and the adjustment goes on from the best.
 
 It fails where no rows show all stripes, and where the solid is not seen beside bare belt.
 """
@@ -151,7 +151,6 @@ _OFF_SHARE_MAX = 0.2
 _FAN_CONDITION = 0.01
 """Planes of one fan do not say where on its axis the projector is: singular values below are taken for 0."""
 _LEANS = 0.5  # tangent of a tilt (27°) that doubles a start's distance: cameras over belts stand straighter
-_MOVES_MAX = 120  # evaluations of the simplex over three unknowns: it ends by its tolerances, or here
 _DISTANCES = (0.76, 0.84, 0.92, 1.0, 1.08)
 """Of the distance by the solid's extent: what is hidden of it and its edges make that wrong by up to a
 fifth."""
@@ -190,7 +189,10 @@ class Start:
 def numbered(view: Observation, camera: Floats, stripes: int) -> Numbered:
     """Number the peaks by their order, in the rows that show as many as there are stripes.
 
-    Raises CalibrationError: there are too few such rows.
+    Raises
+    ------
+    CalibrationError
+        There are too few such rows.
     """
     peaks = view.peaks
     good = np.flatnonzero((peaks.flags & (EDGE | WIDE)) == 0)
@@ -246,7 +248,10 @@ def start_of(
     Where the belt (3,) b·X = 1 is not known, distances about the one that the solid's extent gives, and tilts
     of the camera, are tried.
 
-    Raises CalibrationError: the solid is not seen.
+    Raises
+    ------
+    CalibrationError
+        The solid is not seen.
     """
     own = lines[view.stripe]
     off_px = (view.ray[:, 0] - own[:, 0] - own[:, 1] * view.ray[:, 1]) * focal_px
@@ -290,21 +295,7 @@ def start_of(
         return best(level, stripes)
     # the distance is that along the optical axis
     tilts = [np.array([np.tan(y), -np.tan(x), 0.0]) for x, y in np.radians(_TILTS_DEG)]
-    from scipy.optimize import minimize
-
-    start = best(level + [one + one[2] * tilt for one in level for tilt in tilts], stripes)
-
-    def of(moved: Floats) -> Floats:
-        lean = start.belt[:2] / start.belt[2] + moved[:2]
-        return np.asarray(np.array([*lean, 1.0]) * start.belt[2] * np.exp(moved[2]))
-
-    # move distance and tilt to where the peaks lie nearest to the surface
-    simplex = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, 0.0, 0.03]])
-    options = {"initial_simplex": simplex, "maxfev": _MOVES_MAX, "xatol": 1e-3, "fatol": 1e-4}
-    found = minimize(
-        lambda moved: unlikely(made(of(moved), stripes)), simplex[0], method="Nelder-Mead", options=options
-    )
-    return min(start, made(of(found.x), stripes), key=unlikely)
+    return best(level + [one + one[2] * tilt for one in level for tilt in tilts], stripes)
 
 
 def _start(
@@ -346,25 +337,3 @@ def _of_one_fan(planes: Floats, lines: Floats, belt: Floats) -> Floats:
         line = np.array([1.0, -lines[stripe, 1], -lines[stripe, 0]])
         filled[stripe] = belt + line * (1.0 - belt @ point) / (line @ point)
     return filled
-
-
-def renumbered(view: Numbered, off_mm: Floats) -> Numbered:
-    """Exchange neighbours in a row where the other way round both lie nearer to the surface.
-
-    `off_mm` (3, peak), of peaks row by row in the order of their numbers, is the distance from the surface if
-    the peak's stripe were the one to the left, its own, the one to the right; infinite where there is none.
-    """
-    stripes = int(view.stripe.max()) + 1
-    left, own, right = (part.reshape(-1, stripes) for part in off_mm)
-    number = view.stripe.reshape(-1, stripes).copy()
-    usual = float(np.median(own))
-    for k in range(stripes - 1):
-        before, after = own[:, k] + own[:, k + 1], right[:, k] + left[:, k + 1]
-        swap = (after < _SWAP_SHARE * before) & (before > _SWAP_FACTOR * usual)
-        swap &= (number[:, k] == k) & (number[:, k + 1] == k + 1)
-        number[swap, k], number[swap, k + 1] = k + 1, k
-    return replace(view, stripe=number.ravel())
-
-
-_SWAP_SHARE = 0.35  # two neighbours are exchanged where it brings them nearer to the surface by this factor,
-_SWAP_FACTOR = 12.0  # and where they lie off it by so many usual distances: noise alone exchanges none

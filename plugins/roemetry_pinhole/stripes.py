@@ -219,7 +219,10 @@ def gather(
     defined, `left_out` says by image why its stripes are not used, and is added to, and `print_contrast_max`
     is the largest contrast of the print under a stripe at which its peaks count.
 
-    Raises CalibrationError: the stripes cannot be numbered, or one lies on too few boards.
+    Raises
+    ------
+    CalibrationError
+        The stripes cannot be numbered, or one lies on too few boards.
     """
     found: list[_OnBoard] = []
     poses: list[PoseLines] = []
@@ -356,7 +359,10 @@ def belt_points(
 ) -> tuple[StripePoints, Floats]:
     """Give the stripes on the empty belt, numbered by known planes, and a first estimate of the belt.
 
-    Raises CalibrationError: another number of stripes is seen than there are planes.
+    Raises
+    ------
+    CalibrationError
+        Another number of stripes is seen than there are planes.
     """
     belt, parts = _belt_lines(belts, camera, planes)
     if belt is None:

@@ -89,8 +89,10 @@ class Verdict:
 def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
     """Judge an adjustment; `scale_is_known` says whether the board's pitch is what lengths come from.
 
-    Raises CalibrationError: a plane goes nearly through the camera; stripes do not lie in planes; residuals
-    are no noise.
+    Raises
+    ------
+    CalibrationError
+        A plane goes nearly through the camera; stripes do not lie in planes; residuals are no noise.
     """
     adjusted = joined.adjusted
     _check_planes_pass_by(adjusted)

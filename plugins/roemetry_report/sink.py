@@ -19,7 +19,6 @@ from roemetry.records import BELT, Frame, Grade, Measurement, ProductTrace, Stri
 from roemetry.records.units import MM3_PER_CM3
 from roemetry.stages import Run, Sink, StageOptions
 from roemetry_report.charts import SmallChart, displacement_charts, height_charts, slice_chart
-from roemetry_report.height_panels import height_panels
 from roemetry_report.overview import (
     CLASSES,
     FAULTY,
@@ -33,7 +32,7 @@ from roemetry_report.overview import (
     row_of,
     trust,
 )
-from roemetry_report.panels import Panel, arc_panel, panels, picture_of
+from roemetry_report.panels import Panel, arc_panel, height_panels, panels, picture_of
 from roemetry_report.relief import relief_panels
 from roemetry_report.solid import solid
 from roemetry_report.words import breakable, clause, counted, feature, marked, milliseconds, percent

@@ -13,7 +13,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
     for kind, name, target, summary, reference in (
         ("source", "belt-scan", "scan_source:BeltScan",
          "The lines of belt scans: folders of frames, tall images or videos, with encoder counts", "our own"),
-        ("source", "height-files", "height_source:HeightMaps",
+        ("source", "height-files", "height_files:HeightMaps",
          "Height maps and point clouds of other sensors: TIFF, PNG, CSV, PLY, PCD, LAS, LAZ, X3P, Coord3D",
          "ISO 25178-72 (X3P), ASPRS LAS 1.4, GenICam SFNC"),
         ("assembler", "belt-motion", "placing:BeltMotion",
@@ -22,7 +22,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
         ("volume", "dense-slices", "dense:DenseSlices",
          "Areas of dense slices times the pitch perpendicular to the light, with motion in the budget",
          "our own"),
-        ("sink", "slices", "slices_sink:SliceFiles",
+        ("sink", "slices", "height_files:SliceFiles",
          "slices/<acquisition>.<format>: PLY, PCD, LAS, CSV, TIFF, PNG, NPY or X3P of belt and products",
          "our own"),
     ):  # fmt: skip

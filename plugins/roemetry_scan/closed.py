@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from roemetry.calibrating.sphere_plate import fit_sphere
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import Estimate, Profiles, SpherePlate
 from roemetry.records.arrays import Flags, Floats
@@ -117,14 +118,7 @@ def ball_centres(profiles: Profiles, plate: SpherePlate) -> Floats:
         if len(points) < 50:
             continue
         centre = np.array([*points[:, :2].mean(axis=0), points[:, 2].max() - radius])
-        for _ in range(20):
-            away = points - centre
-            length = np.sqrt((away**2).sum(axis=1))
-            step, *_ = np.linalg.lstsq(away / length[:, None], length - radius, rcond=None)
-            centre = centre + step
-            if np.abs(step).max() < 1e-9:
-                break
-        found.append(centre)
+        found.append(fit_sphere(points, centre, radius, known_radius=True)[0])
     return np.array(found).reshape(-1, 3)
 
 

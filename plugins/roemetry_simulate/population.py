@@ -48,7 +48,10 @@ class ItemProducts:
 def draw_item(part: ProductPart, rig: Rig, number: int, seed: int) -> ItemProducts:
     """Draw the products of an item (number from 0); seeds count up from the set's.
 
-    Raises StageError where a product is larger than the view, or there is no room for so many.
+    Raises
+    ------
+    StageError
+        A product is larger than the view, or there is no room for so many.
     """
     chosen = part.items[number] if number < len(part.items) else None
     item_seed = seed + number - len(part.items) if chosen is None else chosen.seed

@@ -8,8 +8,7 @@ beyond, else undecided.
 
 Spheres are fitted to points by least squares of the distance to their surface (Gauss and Newton, radius
 free); a plane by the smallest singular vector. Dispersion is over the 95 % of points that lie nearest (ISO
-10360-13, D95). A plate of spheres is found in the points by its own grid: the place and turn at which most
-points lie near a sphere.
+10360-13, D95). A plate of spheres is found as calibrations find it (`roemetry.calibrating.sphere_plate`).
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ from itertools import combinations, product
 import numpy as np
 
 from roemetry.calibrating.block_check import Light, find_block, read_block
+from roemetry.calibrating.sphere_plate import centres, fit_sphere, place_of
 from roemetry.errors import DataError
 from roemetry.records import BELT, Block, Profiles, SpherePlate, Staircase
 from roemetry.records.arrays import Floats
@@ -52,6 +52,10 @@ _FIT_STD_MAX = 0.002
 and the fit would be judged instead of the instrument."""
 _NEAR_SHARE = 0.15
 """Of a sphere's radius: points so near its surface belong to it; farther ones are the plate's or stray."""
+_ON_SPHERES_MIN = 0.5
+"""Share of the points above the spheres' centres that must be so near: a flat surface there has a fifth."""
+_TURN_MAX_DEG = 90.0  # a plate turned by more is one turned by less
+_VOTERS = 2000  # points that vote for its place: more take their time and tell nothing more
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +105,10 @@ def measure(
     The calibration's `view` gives lengths in X and Y by perspective, the image's `light` a block's edges:
     without it its side is not measured.
 
-    Raises DataError: the artefact is not found.
+    Raises
+    ------
+    DataError
+        The artefact is not found.
     """
     target, std_mm = artefact.target, artefact.std_mm
     if isinstance(target, SpherePlate):
@@ -143,7 +150,10 @@ def _levels_of(profiles: Profiles, stairs: Staircase) -> dict[float, float]:
 def decide(values: Sequence[Value], limits_mm: dict[str, float]) -> tuple[Outcome, ...]:
     """Hold the largest error of each characteristic against its limit.
 
-    Raises DataError: nothing was measured of a characteristic that has a limit.
+    Raises
+    ------
+    DataError
+        Nothing was measured of a characteristic that has a limit.
     """
     outcomes = []
     for name, limit in limits_mm.items():
@@ -211,20 +221,6 @@ def overall(outcomes: Sequence[Outcome]) -> str:
     return "accepted" if decisions == {"accepted"} else "undecided"
 
 
-def fit_sphere(points_mm: Floats, centre_mm: Floats, radius_mm: float) -> tuple[Floats, float]:
-    """Fit a sphere to (point, 3) points from a start; give centre and radius, mm."""
-    centre, radius = np.array(centre_mm, np.float64), float(radius_mm)
-    for _ in range(50):
-        away = points_mm - centre
-        distance = np.linalg.norm(away, axis=1)
-        jacobian = np.column_stack([-away / distance[:, None], -np.ones(len(away))])
-        step = np.linalg.lstsq(jacobian, radius - distance, rcond=None)[0]
-        centre, radius = centre + step[:3], radius + float(step[3])
-        if np.abs(step).max() < 1e-9:
-            break
-    return centre, radius
-
-
 def fit_std(points_mm: Floats, centre_mm: Floats, radius_mm: float) -> float:
     """Give the largest standard uncertainty of a sphere's centre and radius by its points' noise, mm."""
     away = points_mm - centre_mm
@@ -244,46 +240,23 @@ def dispersion(residual_mm: Floats) -> float:
 def _grid_in(points: Floats, plate: SpherePlate) -> dict[tuple[int, int], Floats]:
     """Find the plate: by column and row, where its spheres' centres are, mm.
 
-    Raises DataError: less than half of the points lie near a sphere at the best place and turn.
+    Raises
+    ------
+    DataError
+        Less than half of the points lie near a sphere at the best place and turn.
     """
     if len(points) < _POINTS_MIN:
         raise DataError(
             f"the sphere plate `{plate.name}` is not seen: {len(points)} points above its spheres' centres"
         )
+    place = place_of(points[:: max(len(points) // _VOTERS, 1)], plate, _TURN_MAX_DEG)
+    found = centres(plate, np.append(place, 1.0))
     radius = 0.5 * plate.diameter_mm
-    some = points[:: max(len(points) // 80, 1)]
-    up = (some[:, 2] - plate.centre_height_mm)[None, :, None]
-    places = list(product(range(plate.columns), range(plate.rows)))
-    grid = plate.pitch_mm * np.array(places, np.float64)
-    grid -= grid.mean(axis=0)
-    turn, at = 0.0, some[:, :2].mean(axis=0)
-    reach, step, turn_step = 0.5 * plate.pitch_mm, 0.3 * radius, math.radians(6.0)
-    turns = np.arange(-0.5 * math.pi, 0.5 * math.pi, turn_step)
-    best = math.inf
-
-    def turned(by: float) -> Floats:
-        turn = np.array([[math.cos(by), math.sin(by)], [-math.sin(by), math.cos(by)]])
-        return np.asarray(grid @ turn)
-
-    for capped in (0.4, 0.2, _NEAR_SHARE, _NEAR_SHARE):  # coarse places are farther from the best one
-        offsets = np.arange(-reach, reach + 0.5 * step, step)
-        shift = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 2)
-        best, found = math.inf, (turn, at)
-        for each in turns:
-            centres = at + shift[:, None] + turned(each)
-            flat = some[None, :, None, :2] - centres[:, None]
-            off = np.abs(np.sqrt((flat**2).sum(axis=-1) + up**2) - radius).min(axis=2)
-            cost = np.minimum(off, capped * radius).mean(axis=1)
-            if cost.min() < best:
-                best, found = float(cost.min()), (float(each), at + shift[int(cost.argmin())])
-        turn, at = found
-        reach, step, turn_step = 1.5 * step, 0.5 * step, 0.4 * turn_step
-        turns = turn + turn_step * np.arange(-3, 4)
-    if best > 0.5 * _NEAR_SHARE * radius:
+    off = np.abs(np.linalg.norm(points[:, None] - found, axis=2) - radius).min(axis=1)
+    if np.mean(off < _NEAR_SHARE * radius) < _ON_SPHERES_MIN:
         raise DataError(
             f"the sphere plate `{plate.name}` is not seen: most points lie on no "
             f"sphere of {plate.diameter_mm:g} mm",
             hint="is it the plate of the target file, and does it lie on the belt alone?",
         )
-    centres = np.column_stack([turned(turn) + at, np.full(len(grid), plate.centre_height_mm)])
-    return dict(zip(places, centres, strict=True))
+    return dict(zip(product(range(plate.columns), range(plate.rows)), found, strict=True))

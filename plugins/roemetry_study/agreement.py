@@ -72,7 +72,10 @@ class Agreement:
 def agreement(table: StudyTable, good: str) -> Agreement:
     """Compare classes, with or without references; misses and false alarms are counted by the class `good`.
 
-    Raises DataError: fewer than ten parts, or one class throughout.
+    Raises
+    ------
+    DataError
+        Fewer than ten parts, or one class throughout.
     """
     classes = tuple(sorted({r.value for r in table.readings} | {r.reference for r in table.readings} - {""}))
     if len(table.parts) < PARTS_MIN:

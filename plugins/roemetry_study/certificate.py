@@ -90,8 +90,16 @@ class Certificate:
 def write(certificate: Certificate, folder: Path, name: str, key: Path | None = None) -> tuple[Path, Path]:
     """Write a certificate's file and page, whole or not at all; sign with the private key if there is one.
 
-    Gives the paths of the JSON file and of the page. Raises PluginError: a key is named and the library that
-    signs is not installed; DataError: the key cannot be read; OutputError: the folder cannot be written.
+    Gives the paths of the JSON file and of the page.
+
+    Raises
+    ------
+    PluginError
+        A key is named and the library that signs is not installed.
+    DataError
+        The key cannot be read.
+    OutputError
+        The folder cannot be written.
     """
     document = certificate.document()
     if key is not None:
@@ -141,9 +149,14 @@ class Verified:
 def verify(path: Path, trusted_key: str = "", page: Path | None = None) -> Verified:
     """Prove that a certificate's JSON file is unchanged and, if given, that `page` was made from it.
 
-    It should have been signed with the public key `trusted_key`; "": with any. Raises DataError: it is no
-    certificate, was changed, is not signed, or is signed by another key; PluginError: the library that
-    verifies is not installed.
+    It should have been signed with the public key `trusted_key`; "": with any.
+
+    Raises
+    ------
+    DataError
+        It is no certificate, was changed, is not signed, or is signed by another key.
+    PluginError
+        The library that verifies is not installed.
     """
     try:
         text = path.read_text(encoding="utf-8")

@@ -76,8 +76,12 @@ def gauge_study(
     """Judge a gauge by readings that are numbers.
 
     `tolerance` is its width, upper less lower limit, in the value's unit; NaN: none. `nested` says whether
-    each operator had parts of their own, `method` is ``anova`` or ``average-range``. Raises DataError as
-    `analyse` and `average_range`.
+    each operator had parts of their own, `method` is ``anova`` or ``average-range``.
+
+    Raises
+    ------
+    DataError
+        As `analyse` and `average_range`.
     """
     found = average_range(table) if method == "average-range" else analyse(table, nested=nested)
     std, total = found.std, found.std["total"]
@@ -195,7 +199,10 @@ def plan(
     The standard deviations are those expected, in one unit: of the parts among each other, of repeated
     readings, and of operators or heads (0 with one). The sizes are the same for any executor.
 
-    Raises DataError: parts or readings do not vary.
+    Raises
+    ------
+    DataError
+        Parts or readings do not vary.
     """
     if not (part_std > 0.0 and repeatability_std > 0.0 and operator_std >= 0.0):
         raise DataError(
@@ -251,7 +258,10 @@ def simulated(
 def samples_for_mean(std: float, half_width: float) -> int:
     """Give how many weighed samples fix a mean (a density, a bias) to ± `half_width` at 95 %.
 
-    Raises DataError: a width or a scatter is not above 0.
+    Raises
+    ------
+    DataError
+        A width or a scatter is not above 0.
     """
     if not (std > 0.0 and half_width > 0.0):
         raise DataError("scatter and wished half width must be above 0")

@@ -118,7 +118,10 @@ def linearity(table: StudyTable) -> Linearity | None:
 def type_one(table: StudyTable, tolerance: float) -> TypeOne:
     """Judge repeated readings of one known part against a tolerance's width, in the unit of the value.
 
-    Raises DataError: more than one part, no reference, too few readings, or no variation.
+    Raises
+    ------
+    DataError
+        More than one part, no reference, too few readings, or no variation.
     """
     from scipy.stats import chi2, norm
 
@@ -175,7 +178,10 @@ CATCHWEIGHER_LIMITS = (
 def catchweigher_words(table: StudyTable) -> str:
     """Hold the errors of weights against the classes of catchweighers, as a yardstick; no legal verification.
 
-    Raises DataError: no part has a reference.
+    Raises
+    ------
+    DataError
+        No part has a reference.
     """
     pairs = [(reference, value - reference) for _, reference, value in _known(table)]
     if len(pairs) < READINGS_MIN:

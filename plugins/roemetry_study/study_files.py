@@ -138,8 +138,10 @@ _ALLOWED = (
 def formula(text: str, names: set[str], place: str) -> Callable[..., Floats]:
     """Make a function of arrays by name of a formula; nothing but arithmetic and five functions passes.
 
-    Raises ConfigurationError: it does not parse, names something unknown, leaves an input out, or holds
-    anything else.
+    Raises
+    ------
+    ConfigurationError
+        It does not parse, names something unknown, leaves an input out, or holds anything else.
     """
     try:
         tree = ast.parse(text.replace("−", "-"), mode="eval")

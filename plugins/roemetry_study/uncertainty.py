@@ -142,7 +142,10 @@ class Cause(NamedTuple):
 def causes(rows: Sequence[Measurement], value: str) -> tuple[float, tuple[Cause, ...]]:
     """Give the standard uncertainty of a run's value, root mean square, and its causes, the largest first.
 
-    Raises DataError: no row states an uncertainty with its parts.
+    Raises
+    ------
+    DataError
+        No row states an uncertainty with its parts.
     """
     budgets = [
         (estimate.std * scale, {name: part * scale for name, part in estimate.budget.items()})
@@ -188,7 +191,10 @@ def compare(
 
     `references` are by id, with their standard uncertainties, in the unit of `value`.
 
-    Raises DataError: no product is in both, or the run states no uncertainty.
+    Raises
+    ------
+    DataError
+        No product is in both, or the run states no uncertainty.
     """
     found = []
     for row in rows:

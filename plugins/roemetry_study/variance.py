@@ -91,8 +91,10 @@ def analyse(table: StudyTable, *, nested: bool = False) -> Components:
     The table may have gaps, but needs two parts and some cell with two trials. `nested`: each operator had
     parts of their own.
 
-    Raises DataError: too few parts or no repetition, no variation at all, or effects that the gaps make
-    inseparable.
+    Raises
+    ------
+    DataError
+        Too few parts or no repetition, no variation at all, or effects that the gaps make inseparable.
     """
     values, part, operator = _checked(table, nested)
     values = values - values.mean()  # squares of what is far from zero would lose their digits

@@ -74,8 +74,12 @@ def write_plugin(name: str, kind: str, folder: Path, registry: Registry) -> tupl
     `name` is that of the distribution and of the stage; one that is taken in the registry is refused. The
     kind is one of `TEMPLATES`. Gives the files written.
 
-    - Raises ConfigurationError: The name or the kind cannot be; with what can.
-    - Raises OutputError: The folder cannot be written.
+    Raises
+    ------
+    ConfigurationError
+        The name or the kind cannot be; with what can.
+    OutputError
+        The folder cannot be written.
     """
     _check_kind(kind)
     _check_name(name)

@@ -6,12 +6,10 @@ from collections.abc import Iterable
 
 from roemetry.stages.hookspecs import StageEntry, hookimpl
 
-_SLICES = "Davis and Rabinowitz (1984), Methods of Numerical Integration; caps and tilted planes are ours"
-
 
 @hookimpl
 def roemetry_stages() -> Iterable[StageEntry]:
-    """Name the stages: outline, slice estimators from the plainest on, surface."""
+    """Name the stages: outline, volume from slices or a surface, weight."""
     yield StageEntry(
         kind="outliner",
         name="edge-contour",
@@ -20,22 +18,15 @@ def roemetry_stages() -> Iterable[StageEntry]:
         reference="Geiger et al. (1995), dynamic programming for deformable contours; the edge model is ours",
     )
     for name, target, summary in (
-        (
-            "slice-sum",
-            "SliceSum",
-            "Spacing times area over tilted slices, each held half the way to the next",
-        ),
-        ("slice-trapezoid", "SliceTrapezoid", "Trapezoids between tilted slices, ends by their taper"),
-        ("slice-simpson", "SliceSimpson", "Simpson's rule over tilted slices, ends by their taper"),
         ("slice-pchip", "SlicePchip", "Monotone cubics between tilted slices, ends by their taper"),
-        ("slice-spline", "SliceSpline", "A cubic spline through tilted slices, ends by their taper"),
+        ("slice-trapezoid", "SliceTrapezoid", "Trapezoids between tilted slices, ends by their taper"),
     ):
         yield StageEntry(
             kind="volume",
             name=name,
             target=f"roemetry_volume.slice_estimators:{target}",
             summary=summary,
-            reference=_SLICES,
+            reference="Fritsch and Butland (1984) for the cubics; caps and tilted planes are ours",
         )
     yield StageEntry(
         kind="volume",

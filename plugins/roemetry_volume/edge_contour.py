@@ -2,7 +2,7 @@
 
 Model. Each product's outline is searched for around the polygon through the ends of what is seen of its
 stripes, in log(image / empty belt): what is left is how much brighter or darker than the belt each place is.
-The search itself, and how sure an outline is, is `contour_edge`.
+The search itself, and how sure an outline is, is `edge_search`.
 
 In a laser image ambient light is what lies beside the stripes: a grey opening along the rows, which takes
 away what is narrower than stripes are apart, finds them, and each place is the mean of what is beside stripes
@@ -48,7 +48,7 @@ from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Outliner, StageOptions
 from roemetry_kernels.image_levels import median_of
-from roemetry_volume.contour_edge import Scene, edge_around, redrawn, unbound
+from roemetry_volume.edge_search import Scene, edge_around, redrawn, unbound
 from roemetry_volume.footprint import area_of, inside_by
 from roemetry_volume.image_motion import laid_over, logarithm
 from roemetry_volume.outline_features import features_of

@@ -2,7 +2,7 @@
 
 A hull spans the outermost points, so noise on a contour takes convexity away, and never adds any: a contour
 that is rough by half a pixel lacks as much of its hull as a skein with a bitten corner. How much noise takes
-is tried out: noise that scatters as its single normals do is put on the contour (`contour_edge.redrawn`), and
+is tried out: noise that scatters as its single normals do is put on the contour (`edge_search.redrawn`), and
 what convexity falls by then is added. That is a rule of thumb: the contour is smoother than its normals, and
 rough contours lose less by more noise than smooth ones. Over 40 disturbed images of five skeins (JPEG, noise,
 gamma, specks) it gave 0.4 to 2.4 times the true fall, mostly 0.6 to 1.2: half of it is the uncertainty.

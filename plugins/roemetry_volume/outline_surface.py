@@ -14,7 +14,6 @@ from roemetry.records.arrays import Flags, Floats
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, VolumeEstimator
 from roemetry_volume.slice_estimators import (
-    SliceOptions,
     SlicePchip,
     common_height_std_mm,
     gaps_std,
@@ -115,7 +114,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         return volume if why is None else replace(volume, reasons=(why, *volume.reasons))
 
     def _slices(self) -> SlicePchip:
-        return SlicePchip(SliceOptions(**self.options.model_dump()))
+        return SlicePchip(self.options)
 
 
 def _positive(volume_mm3: float) -> float:

@@ -1,13 +1,11 @@
-"""Visible volume from slices alone: areas in tilted planes, a rule between them, caps at both ends."""
+"""Visible volume from slices alone: areas in tilted planes, a cubic between them, caps at both ends."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Surface, Volume
@@ -16,13 +14,13 @@ from roemetry.stages import Capabilities, VolumeEstimator
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.image_levels import median_of
 from roemetry_volume import slice_rules as rules
-from roemetry_volume.slice_rules import Cap, Ends, cap_of
+from roemetry_volume.slice_rules import Cap, cap_of
 from roemetry_volume.slice_table import FILLED, HOLE, LOW, Slices, slices_of
 from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume, underside_reasons
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
 _BETWEEN = 0.38  # of what leaving a slice out changes: with it, the gap is half as wide
-_RULES_APART = 1.3  # a rectangle's half width over its standard deviation would be 1.73
+_CUBICS_APART = 1.3  # a rectangle's half width over its standard deviation would be 1.73
 _AREAS_STD = 0.003  # of the volume: walls and ends of the slices themselves, however many there are
 _LOOSE = 1.0 / math.sqrt(3.0)  # of what is bridged beyond a slice's seen points: none of it, or twice as much
 _OVER_GAP = 0.1  # of what a straight line fills: a dome rises over it by some tenth
@@ -38,39 +36,21 @@ _POINTS_MIN = 30
 """Fewer second differences than that say nothing of noise (their median is uncertain by a quarter)."""
 
 
-class SliceOptions(UndersideOptions):
-    """Options of estimators from slices."""
-
-    ends: Ends = Field(
-        default="taper",
-        description="beyond the outer slices: by their taper, or their area held half a spacing, or nothing",
-    )
-
-
-class SliceSumOptions(SliceOptions):
-    """Options of the plain sum."""
-
-    ends: Ends = Field(
-        default="hold",
-        description="beyond the outer slices: by their taper, or their area held half a spacing, or nothing",
-    )
-
-
-class _SliceEstimator(VolumeEstimator[SliceOptions]):
-    """V = rule(Aᵢ over tᵢ) + caps.
+class SlicePchip(VolumeEstimator[UndersideOptions]):
+    """V = the integral of a monotone cubic through Aᵢ over tᵢ, + caps.
 
     tᵢ is where plane i cuts the belt, Aᵢ the area below the slice weighed so that Aᵢ·dt is a volume however
-    the planes lean and fan out. What the rule is, the classes below say.
+    the planes lean and fan out. The cubic's slopes are those of Fritsch and Butland (1984): it never
+    overshoots the areas.
     """
 
-    Options = SliceOptions
+    Options = UndersideOptions
     capabilities = Capabilities(relative_tolerance=0.026)
-    rule: ClassVar[int]
 
     @property
     def states_model_error(self) -> bool:
-        """Whether all of the model's error is drawn: not where what lies beyond the slices is left out."""
-        return self.options.ends != "none"
+        """Whether all of the model's error is drawn."""
+        return True
 
     def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
         """Estimate the visible volume; with `rng` the error between slices and at the ends is drawn, too.
@@ -81,9 +61,9 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
             Fewer than three stripes lie on the product, or a plane runs along X, or the sum is not positive.
         """
         slices = slices_of(product)
-        caps = [cap_of(product, slices, end, self.options.ends) for end in (0, 1)]
+        caps = [cap_of(product, slices, end) for end in (0, 1)]
         slope = np.array([one.slope_mm for one in caps])
-        between = rules.between_slices(slices.t_mm, slices.area_mm2, slope, self.rule)
+        between = self._between(slices.t_mm, slices.area_mm2)
         volume = between + sum(one.volume_mm3 + one.shadow_mm3 for one in caps)
         if not volume > 0.0:
             raise StageError(
@@ -111,10 +91,15 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
             reasons=reasons_of(product, slices, [one.kind for one in caps]) + underside_reasons(self.options),
         )
 
+    @staticmethod
+    def _between(t_mm: Floats, area_mm2: Floats) -> float:
+        """Give the volume from the first to the last slice, mm³."""
+        return float(rules.between_slices(t_mm, area_mm2))
+
     def surface(self, product: Product) -> Surface:
         """Give the slices, joined straight, and the caps that stand for what lies beyond them."""
         slices = slices_of(product)
-        caps = [cap_of(product, slices, end, self.options.ends) for end in (0, 1)]
+        caps = [cap_of(product, slices, end) for end in (0, 1)]
         return _drawn(product, slices, caps)
 
     def _true(
@@ -135,47 +120,21 @@ class _SliceEstimator(VolumeEstimator[SliceOptions]):
         return float((slices.width_mm * slices.held_mm).sum()) + float(at_ends)
 
 
-class SliceSum(_SliceEstimator):
-    """V = Σ Aᵢ·wᵢ: each area held half the way to both neighbours, outwards half a spacing.
-
-    The zero-order hold with central widths. The plainest rule, and blind to what happens between slices.
-    """
-
-    Options = SliceSumOptions
-    rule = 0
-
-
-class SliceTrapezoid(_SliceEstimator):
+class SliceTrapezoid(SlicePchip):
     """Straight lines between the areas; short of convex bodies by what lies above the lines."""
 
-    rule = 1
-
-
-class SliceSimpson(_SliceEstimator):
-    """Parabolas over pairs of intervals of any lengths; exact where the areas are a parabola."""
-
-    rule = 2
-
-
-class SlicePchip(_SliceEstimator):
-    """Cubics with slopes after Fritsch and Butland (1984): they never overshoot the areas."""
-
-    rule = 3
-
-
-class SliceSpline(_SliceEstimator):
-    """A cubic spline; its slopes at the ends are the caps' where there are any, else not-a-knot."""
-
-    rule = 4
+    @staticmethod
+    def _between(t_mm: Floats, area_mm2: Floats) -> float:
+        return float(np.trapezoid(area_mm2, t_mm))
 
 
 def _between_std(t_mm: Floats, area_mm2: Floats, slope: Floats, between: float) -> float:
     """Say how far the areas between slices may be off: by what leaving single slices out changes.
 
-    Part of the rule's distance from the spline, which smooth bodies follow more closely, is added.
+    Part of the cubic's distance from the spline, which smooth bodies follow more closely, is added.
     """
-    smooth: float = rules.between_slices(t_mm, area_mm2, slope, rules.SPLINE)
-    return math.hypot(_BETWEEN * rules.unevenness(t_mm, area_mm2), (smooth - between) / _RULES_APART)
+    smooth: float = rules.by_spline(t_mm, area_mm2, slope)
+    return math.hypot(_BETWEEN * rules.unevenness(t_mm, area_mm2), (smooth - between) / _CUBICS_APART)
 
 
 def gaps_std(slices: Slices) -> float:

@@ -1,11 +1,11 @@
-"""Volume from areas at uneven places: rules between the slices, and caps beyond the outer ones.
+"""Volume from areas at uneven places: cubics between the slices, and caps beyond the outer ones.
 
-Model. Between slices A(t) is followed by a rule (`between_slices`) and integrated. Beyond an outer slice a
-parabola through three outer areas falls to zero at some distance (`taper_of`): that is the cap's volume and
-length. Where a quadric through the points of three outer slices closes beyond them and leaves residuals of
-less than some hundredths of a millimetre (`quadric_ends`), it is believed instead, by a trust that falls from
-1 to 0 around that residual. Of an end that does not taper, and beyond which a stripe shows belt, half of the
-way to that stripe is counted, and anything up to it is in the interval.
+Model. Between slices A(t) is followed by a monotone cubic (`between_slices`) and integrated. Beyond an outer
+slice a parabola through three outer areas falls to zero at some distance (`taper_of`): that is the cap's
+volume and length. Where a quadric through the points of three outer slices closes beyond them and leaves
+residuals of less than some hundredths of a millimetre (`quadric_ends`), it is believed instead, by a trust
+that falls from 1 to 0 around that residual. Of an end that does not taper, and beyond which a stripe shows
+belt, half of the way to that stripe is counted, and anything up to it is in the interval.
 
 Assumed: beyond the outer slice the product goes on as it came. It fails at upright ends before the next
 stripe (by up to half a spacing, which the interval says) and where leaning light passes over a tall body's
@@ -15,7 +15,7 @@ end without a quadric to say what stands in its shadow.
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from roemetry_kernels.compiling import kernel
 from roemetry_volume.quadric_ends import edges_missed, quadric_end
 from roemetry_volume.slice_table import AREA, TOP, WALL, WIDTH, Slices, three_outer
 
-SUM, TRAPEZOID, SIMPSON, PCHIP, SPLINE = range(5)
 NO_CAP, TAPERED, BLUNT = 0.0, 1.0, 2.0
 
 WAIST = 0.35
@@ -54,9 +53,6 @@ _OPEN_SPACINGS = 2.0
 _OPEN_SHARE = 0.2  # of the product's lit length; beyond either, an open end's taper is not believed
 
 
-Ends = Literal["taper", "hold", "none"]
-
-
 class Cap(NamedTuple):
     """What lies beyond an outer slice.
 
@@ -72,14 +68,10 @@ class Cap(NamedTuple):
     std_mm3: float
 
 
-def cap_of(product: Product, slices: Slices, end: int, ends: Ends) -> Cap:
+def cap_of(product: Product, slices: Slices, end: int) -> Cap:
     """Give what lies beyond the first (`end` 0) or the last (1) slice."""
-    if ends == "none":
-        return Cap(0.0, 0.0, math.nan, NO_CAP, 0.0, 0.0)
     limited, within = slices.limited[end], _within(slices, end)
-    found = _by_areas(slices, end, within, ends)
-    if ends == "hold":
-        return found
+    found = _by_areas(slices, end, within)
     volume, length, shadow, rim_mm, off_mm = quadric_end(
         slices.profiles.xyz_mm,
         slices.profiles.product,
@@ -112,8 +104,8 @@ def cap_of(product: Product, slices: Slices, end: int, ends: Ends) -> Cap:
     return _mixed(Cap(volume, length, found.slope_mm, TAPERED, shadow, own), found, trust)
 
 
-def _by_areas(slices: Slices, end: int, within: float, ends: Ends) -> Cap:
-    """Give what the slices' areas say of an end, or with `hold` half a spacing of the outer one."""
+def _by_areas(slices: Slices, end: int, within: float) -> Cap:
+    """Give what the slices' areas say of an end."""
     outer, lean, limited = slices.table[-end].tolist(), slices.lean[end], slices.limited[end]
     area, reach = outer[AREA], slices.reach_mm[end]
     volume, length, slope, trust = taper_of(slices.t_mm, slices.area_mm2, end, within, limited)
@@ -121,10 +113,7 @@ def _by_areas(slices: Slices, end: int, within: float, ends: Ends) -> Cap:
     wall_mm3 = _WALL_STD * abs(lean) * max(outer[TOP], 0.0) * area
     half = 0.5 * reach * area
     blunt = Cap(half, 0.5 * reach, math.nan, BLUNT, 0.0, math.hypot(_BLUNT_STD * half, wall_mm3))
-    if ends == "hold":
-        apart = math.hypot(tapered.std_mm3, volume - half)
-        found = blunt._replace(std_mm3=math.sqrt(trust * apart**2 + (1.0 - trust) * blunt.std_mm3**2))
-    elif limited or trust > 0.0:
+    if limited or trust > 0.0:
         found = _mixed(tapered, blunt, trust)
     else:
         span = float(slices.t_mm[-1] - slices.t_mm[0])
@@ -170,13 +159,8 @@ def _ends_std(slices: Slices, end: int) -> float:
 
 
 @kernel
-def between_slices(
-    t: Floats,
-    area: Floats,
-    slope: Floats,
-    rule: int,
-) -> float:
-    """Give the volume from the first to the last slice, mm³.
+def between_slices(t: Floats, area: Floats) -> float:
+    """Give the volume from the first to the last slice, mm³, by Fritsch and Butland's cubics.
 
     Parameters
     ----------
@@ -184,26 +168,28 @@ def between_slices(
         Places of the slices, mm, rising.
     area : ndarray of float64, shape (n,)
         Their areas, mm².
-    slope : ndarray of float64, shape (2,)
-        dA/dt at the two ends where a cap gives one, else NaN; the spline alone uses it.
-    rule
-        `SUM` (the same as the trapezoid here: they differ in the caps), `TRAPEZOID`, `SIMPSON`, `PCHIP`
-        (Fritsch and Butland's slopes) or `SPLINE` (cubic, not-a-knot where no slope is given).
     """
-    n = t.size
-    if rule == SIMPSON:
-        return _simpson(t, area)
-    slopes = np.zeros(n)
-    if rule == PCHIP:
-        _pchip_slopes(t, area, slopes)
-    elif rule == SPLINE:
-        _spline_slopes(t, area, slope, slopes)
+    slopes = np.zeros(t.size)
+    _pchip_slopes(t, area, slopes)
+    return _integral(t, area, slopes)
+
+
+@kernel
+def by_spline(t: Floats, area: Floats, ends: Floats) -> float:
+    """Give the same by a cubic spline, with dA/dt at its `ends` (2,), not-a-knot where that is NaN."""
+    slopes = np.zeros(t.size)
+    _spline_slopes(t, area, ends, slopes)
+    return _integral(t, area, slopes)
+
+
+@kernel
+def _integral(t: Floats, area: Floats, slopes: Floats) -> float:
+    """Integrate cubics by their values and slopes at the slices."""
     volume = 0.0
-    for i in range(n - 1):
+    for i in range(t.size - 1):
         h = t[i + 1] - t[i]
         volume += 0.5 * h * (area[i] + area[i + 1])
-        if rule >= PCHIP:
-            volume += h * h * (slopes[i] - slopes[i + 1]) / 12.0
+        volume += h * h * (slopes[i] - slopes[i + 1]) / 12.0
     return volume
 
 
@@ -271,23 +257,6 @@ def waist(area: Floats) -> int:
         if area[k] < WAIST * min(left, right[k]) and (found < 0 or area[k] < area[found]):
             found = k
     return found
-
-
-@kernel
-def _simpson(t: Floats, area: Floats) -> float:
-    """Simpson's rule for uneven places; the last interval of an even number by the parabola before it."""
-    n = t.size
-    volume = 0.0
-    for i in range(0, n - 2, 2):
-        h, k = t[i + 1] - t[i], t[i + 2] - t[i + 1]
-        a, b, c = area[i], area[i + 1], area[i + 2]
-        volume += (h + k) / 6.0 * ((2.0 - k / h) * a + (h + k) ** 2 / (h * k) * b + (2.0 - h / k) * c)
-    if n % 2 == 0:
-        h, k = t[n - 2] - t[n - 3], t[n - 1] - t[n - 2]
-        volume += area[n - 1] * (2.0 * k * k + 3.0 * h * k) / (6.0 * (h + k))
-        volume += area[n - 2] * (k * k + 3.0 * h * k) / (6.0 * h)
-        volume -= area[n - 3] * k**3 / (6.0 * h * (h + k))
-    return volume
 
 
 @kernel

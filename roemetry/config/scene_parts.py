@@ -312,8 +312,11 @@ def family_options(
 ) -> Any:
     """Check the options of a family of products, which stand at some keys; None for the family `none`.
 
-    Raises MisfitError with every fault: a family that is not among the models (with a close match), or
-    options that do not fit its model.
+    Raises
+    ------
+    MisfitError
+        With every fault: a family that is not among the models (with a close match), or options that do
+        not fit its model.
     """
     if family == NONE:
         if options:

@@ -31,7 +31,10 @@ class Triangles(NamedTuple):
 def read_mesh(path: Path) -> Triangles:
     """Read an .obj, .stl or .ply file as it stands; faces of more corners are cut into fans.
 
-    Raises DataError with the file's name and the reason, where it cannot be read.
+    Raises
+    ------
+    DataError
+        The file cannot be read; the message has its name and the reason.
     """
     readers = {".obj": _read_obj, ".stl": _read_stl, ".ply": _read_ply}
     reader = readers.get(path.suffix.lower())
@@ -55,8 +58,11 @@ def read_mesh(path: Path) -> Triangles:
 def check_closed(mesh: Triangles, name: str) -> Triangles:
     """Join points at exactly the same place, drop faces without three corners, and check the rest.
 
-    Raises DataError, which begins with the name, where edges are open, faces are turned against their
-    neighbours, or no volume is enclosed.
+    Raises
+    ------
+    DataError
+        Edges are open, faces are turned against their neighbours, or no volume is enclosed; the message
+        begins with the name.
     """
     points, which = np.unique(mesh.points, axis=0, return_inverse=True)
     faces = which.reshape(-1)[mesh.faces]

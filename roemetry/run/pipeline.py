@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import time
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -32,7 +33,6 @@ from roemetry.records import (
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.penetration import raise_surface
 from roemetry.records.view import View
-from roemetry.run.heap import keep_freed_memory
 from roemetry.run.linearisation import linearise
 from roemetry.run.monte_carlo import Chain, Scene, propagate, without_draws
 from roemetry.run.open_parts import OpenPart, open_parts, said_of, split_products, widened, widened_by
@@ -447,3 +447,25 @@ def _unfit(frame: Frame | None, calibration: Calibration | None) -> Reason | Non
             f"{made_columns} × {made_rows}: another camera or region of interest; calibrate this one",
         )
     return None
+
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
+_LARGEST_ON_HEAP = 32 << 20
+"""Bytes: glibc takes no more. A frame of 12 megapixels fits."""
+_KEPT = 256 << 20
+"""Bytes that stay with the process between frames."""
+
+
+@cache
+def keep_freed_memory() -> None:
+    """Let glibc keep freed memory; other C libraries do as they always do.
+
+    It gives a large array's memory back to the system at once, and takes it anew for the next one: of the
+    careful recipe's time on a frame a tenth went into pages that the system cleared.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):
+        return
+    mallopt(_MMAP_THRESHOLD, _LARGEST_ON_HEAP)
+    mallopt(_TRIM_THRESHOLD, _KEPT)

@@ -33,9 +33,8 @@ from roemetry.stages import (
 )
 from roemetry.stages.kinds import check_result_type
 from roemetry.testing.dots import DotRig
-from roemetry.testing.grids import GridRig
 from roemetry.testing.runs import failed, measured, run_of, volume_of
-from roemetry.testing.scenes import SEED, LinearRig, frame_of, moved_rig
+from roemetry.testing.scenes import SEED, GridRig, LinearRig, frame_of, moved_rig
 from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_from, product_of
 
 BLOCK = Block("block", length_mm=100.0, width_mm=30.0, height_mm=8.0, tolerance_mm=0.05)

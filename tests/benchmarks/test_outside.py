@@ -34,7 +34,7 @@ roemetry: 1
 product: box
 source: {path: images}
 calibration: calibration.yaml
-stages: {extractor: gaussian, coder: planes, triangulator: pinhole-plane, volume: slice-spline}
+stages: {extractor: gaussian, coder: planes, triangulator: pinhole-plane, volume: slice-pchip}
 """
 TETRAHEDRON = """\
 ply

@@ -405,10 +405,10 @@ def test_no_acquisition_is_traced_twice_and_a_later_report_is_the_same(
 
 
 def test_another_extractor_than_the_calibrations_is_said(measured, rig) -> None:
-    sets = ("stages.extractor.use=local-maximum", "stages.extractor.options={}")
+    sets = ("stages.extractor.use=log-parabola", "stages.extractor.options={}")
     (row,) = measured(rig.image(rig.x_px(rig.dome())), sets=sets)
     (said,) = [reason.text for reason in row.reasons if reason.code == "other-extractor"]
-    assert "measured with `local-maximum`:" in said
+    assert "measured with `log-parabola`:" in said
     assert "{" not in said
 
 

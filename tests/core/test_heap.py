@@ -4,7 +4,7 @@ import ctypes
 
 import pytest
 
-from roemetry.run.heap import keep_freed_memory
+from roemetry.run.pipeline import keep_freed_memory
 
 
 class _Library:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roemetry.run.motion_trend import MotionTrend
+from roemetry.run.record import MotionTrend
 
 
 def told(motion_px: np.ndarray) -> str:

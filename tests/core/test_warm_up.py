@@ -17,7 +17,7 @@ from roemetry.cli.warm_up import warm_up
 
 if __name__ == "__main__":
     told = []
-    quick = ["stages.extractor=local-maximum", "stages.coder=ordered", "stages.aligner=null"]
+    quick = ["stages.extractor=log-parabola", "stages.coder=ordered", "stages.aligner=null"]
     recipe = roemetry.Recipe.load(sys.argv[1], sets=quick)
     kinds = warm_up(recipe.stages, lambda done, of: told.append((done, of)))
     print(json.dumps([kinds, told]))

@@ -51,7 +51,6 @@ NOT_RUN = {
 }
 EXPECTED_EXIT = {
     r"roemetry compare .*--data more": (1,),  # the world's smaller camera is none that was calibrated
-    r"roemetry compare .*local-maximum": (1,),  # it finds the noise, and says so in its row
     r"roemetry run .*threshold=100": (1,),  # the page says that skeins are refused, and why
 }
 

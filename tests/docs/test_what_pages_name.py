@@ -39,6 +39,13 @@ def test_only_our_own_error_class_is_made_for_users() -> None:
     assert child.search("class Own(DataError):")
 
 
+def test_what_is_raised_stands_in_a_section_of_its_own() -> None:
+    """One form for all docstrings, numpy's: ruff checks sections, not sentences that should be one."""
+    sentence = re.compile(r"\bRaises:? [A-Z]\w*Error\b")
+    assert [path.name for path in SOURCES if sentence.search(path.read_text("utf-8"))] == []
+    assert sentence.search("Raises DataError: it is not there.")
+
+
 def test_every_variable_of_the_environment_and_every_first_key_of_a_file_is_told() -> None:
     core = "".join(path.read_text("utf-8") for path in SOURCES if path.is_relative_to(ROOT / "roemetry"))
     told = {word.split("=")[0] for word in firsts(section(page("command-line.md"), "## Environment"))}

@@ -17,18 +17,8 @@ from roemetry.stages.registry import discover
 
 REGISTRY = discover()
 NAMES = [each.entry.name for each in REGISTRY.of_kind("extractor") if each.missing is None]
-TOLD = {
-    "dominant-peak": {"threshold": 30.0, "start": "lowest"},
-    "binary-threshold": {"threshold": 60.0},
-    "local-maximum": {"floor": 60.0},
-}
-"""The paper's stages have fixed thresholds: they take no noise for a stripe only if told a fitting one."""
-
-BY_METHOD = {
-    "binary-threshold": "one grey level for the whole image: the paper shows it for what goes wrong",
-    "local-maximum": "every maximum counts, those of noise and of flat tops, too: the paper sets out from it",
-}
-"""Reports what is no stripe, by its method."""
+TOLD = {"dominant-peak": {"threshold": 30.0, "start": "lowest"}}
+"""The paper's stage has a fixed threshold: it takes no noise for a stripe only if told a fitting one."""
 
 WHOLE_PIXEL = {"dominant-peak": "the last pixel of a flat top counts"}
 
@@ -193,7 +183,7 @@ def test_unusual_stripes_are_found_where_they_are_or_refused(name: str, of: str)
         assert asked.may_be_refused or not asked.share
         return
     within_px = 8.0 if name in WHOLE_PIXEL and of == "forty pixels wide" else asked.within_px
-    assert name in BY_METHOD or strays(peaks, asked.x_px, within_px) <= asked.strays
+    assert strays(peaks, asked.x_px, within_px) <= asked.strays
     if not (name in TOLD and of == "12 of 16 bits, not told"):
         near_px = 5.0 if name in TOLD and of.startswith("flat") else 1.5
         assert found_share(peaks, asked.x_px, near_px) >= asked.share
@@ -214,8 +204,8 @@ def test_stripes_cut_off_at_white(name: str, rng: np.random.Generator) -> None:
     near = np.abs(x_px[:, peaks.row] - peaks.x_px).min(axis=0) < 12.0
     assert (peaks.flags[near] & SATURATED).all(), "a top at white is told"
     if name not in WHOLE_PIXEL:
-        assert name in BY_METHOD or not strays(peaks, x_px, 3.0 if name in NARROW else 1.0)
-        assert name in BY_METHOD or name in NARROW or found_share(peaks, x_px, 1.0) >= 0.8
+        assert not strays(peaks, x_px, 3.0 if name in NARROW else 1.0)
+        assert name in NARROW or found_share(peaks, x_px, 1.0) >= 0.8
 
 
 @every_line_extractor
@@ -223,17 +213,16 @@ def test_stripes_cut_off_at_white(name: str, rng: np.random.Generator) -> None:
 def test_dark_lines_on_bright_ground_are_named_and_no_stripes(name, lines, rng) -> None:
     x_px = centres()[lines]
     peaks = extracted(name, camera(214.0 - light(x_px), rng))
-    if name not in BY_METHOD:
-        sound = stripes_of(peaks)
-        assert not (np.abs(x_px[:, peaks.row[sound]] - peaks.x_px[sound]).min(axis=0) < 2.0).any()
-        assert "upside-down" in {reason.code for reason in peaks.reasons}
+    sound = stripes_of(peaks)
+    assert not (np.abs(x_px[:, peaks.row[sound]] - peaks.x_px[sound]).min(axis=0) < 2.0).any()
+    assert "upside-down" in {reason.code for reason in peaks.reasons}
 
 
 @every_extractor
 def test_bright_stripes_are_not_named_so(name, rng) -> None:
     for level in (light(centres()), 60.0 + light(centres()), 0.0 * light(centres())):
         peaks = extracted(name, camera(level, rng))
-        assert name in BY_METHOD or "upside-down" not in {reason.code for reason in peaks.reasons}
+        assert "upside-down" not in {reason.code for reason in peaks.reasons}
 
 
 @every_line_extractor
@@ -248,7 +237,7 @@ def test_hot_columns_and_pixels_cost_no_stripe_and_are_none(name, hot, share, wi
     assert peaks is not None
     assert found_share(peaks, x_px, min(within_px, 2.0)) >= share
     if "width_min_px" in type(made(name)).Options.model_fields:
-        assert name in BY_METHOD or not strays(peaks, x_px, within_px)
+        assert not strays(peaks, x_px, within_px)
 
 
 @every_extractor
@@ -263,7 +252,7 @@ def test_pixels_above_the_bit_depth_are_refused(name: str) -> None:
 def test_a_ramp_has_no_stripe(name: str, rng: np.random.Generator) -> None:
     level = np.broadcast_to(np.linspace(5.0, 240.0, COLUMNS), (ROWS, COLUMNS))
     peaks = extracted(name, camera(level, rng))
-    assert peaks is None or name in BY_METHOD or not stripes_of(peaks).any()
+    assert peaks is None or not stripes_of(peaks).any()
 
 
 @settings(max_examples=40, deadline=None)

@@ -23,8 +23,7 @@ from roemetry.errors import DataError
 from roemetry.records import Frame
 from roemetry.records.live import LiveFrame
 from roemetry.stages import Capabilities, Feed
-from roemetry_line.feeds.camera import HINT, CameraOptions, no_node, refused
-from roemetry_line.feeds.frame_numbers import FrameNumbers
+from roemetry_line.feeds.camera import HINT, CameraOptions, FrameNumbers, no_node, refused
 
 LIBRARY = "libaravis-0.8.so.0"
 _TICK_US = 500_000

@@ -22,8 +22,7 @@ from roemetry.errors import DataError
 from roemetry.records import Frame
 from roemetry.records.live import LiveFrame
 from roemetry.stages import Capabilities, Feed
-from roemetry_line.feeds.camera import HINT, CameraOptions, first_line, no_node, refused
-from roemetry_line.feeds.frame_numbers import FrameNumbers
+from roemetry_line.feeds.camera import HINT, CameraOptions, FrameNumbers, first_line, no_node, refused
 
 _BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
 _TICK_MS = 500

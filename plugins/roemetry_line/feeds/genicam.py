@@ -19,8 +19,7 @@ from roemetry.errors import ConfigurationError, DataError
 from roemetry.records import Frame
 from roemetry.records.live import LiveFrame
 from roemetry.stages import Capabilities, Feed
-from roemetry_line.feeds.camera import HINT, CameraOptions, no_node, refused
-from roemetry_line.feeds.frame_numbers import FrameNumbers
+from roemetry_line.feeds.camera import HINT, CameraOptions, FrameNumbers, no_node, refused
 
 _TICK_S = 0.5
 _GREY_BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono14": 14, "Mono16": 16}

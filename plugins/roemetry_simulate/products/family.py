@@ -65,7 +65,7 @@ class Drawn:
     - `solid`: The body, in the belt frame.
     - `truth`: Its class, defect, volumes (mm³), mass (g), and further figures, units in their names.
     - `reference`: The same product, in the same place, without its defect; None where there is no such thing.
-      What the stripes show of the defect follows from both, see `roemetry_simulate.truth.stripes_show`.
+      What the stripes show of the defect follows from both, see `roemetry_simulate.ray_caster.stripes_show`.
     """
 
     solid: Solid

@@ -140,8 +140,12 @@ def close(mesh: Triangles, mm_per_unit: float = 1.0, up: str = "z", name: str = 
     """Check that a mesh is closed, scale it, turn its axis `up` to +z, and lay it down.
 
     Points at exactly the same place are one, faces without area are left out, and a mesh whose faces all
-    looked inwards is turned inside out. Raises DataError, which begins with the name, where edges are open
-    or faces are turned against their neighbours.
+    looked inwards is turned inside out.
+
+    Raises
+    ------
+    DataError
+        Edges are open or faces are turned against their neighbours; the message begins with the name.
     """
     points, faces = check_closed(mesh, name)
     corners = points[faces]

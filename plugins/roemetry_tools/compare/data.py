@@ -33,8 +33,12 @@ class Data:
     True classes of `labels`, by product (``acquisition#1``), count instead of those of the data set.
     `dataset` is None where there is none; `without_truth` then says why nothing is known.
 
-    - Raises ConfigurationError: `folder` is no data set, or its ``dataset.yaml`` is wrong.
-    - Raises DataError: There is nothing to compare on, or a label is of what is not there.
+    Raises
+    ------
+    ConfigurationError
+        `folder` is no data set, or its ``dataset.yaml`` is wrong.
+    DataError
+        There is nothing to compare on, or a label is of what is not there.
     """
 
     def __init__(

@@ -86,7 +86,10 @@ class Space:
     Each of `vary` is ``KIND=name,name`` or ``key.key=value,value``; an option that a stage does not have is
     not varied with that stage. `sets` change all variants alike.
 
-    - Raises ConfigurationError: The recipe as it is is wrong, or a kind, a name or a key of `vary` is.
+    Raises
+    ------
+    ConfigurationError
+        The recipe as it is is wrong, or a kind, a name or a key of `vary` is.
     """
 
     def __init__(self, path: Path, vary: Sequence[str], *, sets: Sequence[str], registry: Registry) -> None:
@@ -255,8 +258,10 @@ def _in_words_of_vary(fault: str, changed: Sequence[tuple[Axis, str]]) -> str:
 def read_axes(texts: Sequence[str], registry: Registry) -> tuple[Axis, ...]:
     """Read what is to be varied, whole stages first; commas inside brackets or quotes do not part values.
 
-    - Raises ConfigurationError: With every fault: a kind, a key or a stage nobody knows (with a close match),
-      a value missing.
+    Raises
+    ------
+    ConfigurationError
+        With every fault: a kind, a key or a stage nobody knows (with a close match), a value missing.
     """
     faults: list[str] = []
     axes: list[Axis] = []

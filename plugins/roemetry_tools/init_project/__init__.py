@@ -66,8 +66,12 @@ def start_like(
     The folder must be empty or not there yet. `step` is entered with the name of each step that takes time,
     and gives what is called with (steps done, of how many, the time left, s).
 
-    - Raises ConfigurationError: There is no such line.
-    - Raises OutputError: The folder holds something, or cannot be written.
+    Raises
+    ------
+    ConfigurationError
+        There is no such line.
+    OutputError
+        The folder holds something, or cannot be written.
     """
     line = line_of(name)
     _check_empty(folder)

@@ -88,7 +88,10 @@ class Layout:
 def lay_out(answers: Answers) -> Layout:
     """Place camera and projector, or say what cannot be.
 
-    - Raises ConfigurationError: With every fault of the answers, or why no such rig measures the product.
+    Raises
+    ------
+    ConfigurationError
+        With every fault of the answers, or why no such rig measures the product.
     """
     faults = _faults(answers)
     if faults:

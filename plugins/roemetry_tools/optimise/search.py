@@ -107,8 +107,12 @@ def _read(line: str) -> tuple[str, TrialFigures]:
 class Search:
     """Tries recipes of a space; the same seed and the same figures give the same proposals.
 
-    - Raises ConfigurationError: A range is wrong.
-    - Raises PluginError: Optuna is not installed.
+    Raises
+    ------
+    ConfigurationError
+        A range is wrong.
+    PluginError
+        Optuna is not installed.
     """
 
     def __init__(self, space: Space, seed: int) -> None:

@@ -57,9 +57,14 @@ def written(figure: PlanFigure) -> str:
 def plan_of(scene: Scene, *, simulate: bool, registry: Registry | None = None) -> Plan:
     """Plan the rig of a scene by the planner that comes with its simulator, under the same name.
 
-    With `simulate`, short simulations stand beside the prediction. Raises PluginError where the simulator's
-    plugin has no planner, or one that reads another kind of scene, and StageError, with the reason, where
-    the rig cannot measure a height.
+    With `simulate`, short simulations stand beside the prediction.
+
+    Raises
+    ------
+    PluginError
+        The simulator's plugin has no planner, or one that reads another kind of scene.
+    StageError
+        The rig cannot measure a height; with the reason.
     """
     registry = registry or discover()
     chosen = scene.simulator

@@ -39,8 +39,10 @@ def edited(text: str, name: str, wanted: Any) -> str:
     Comments inside a list that changes, and those beside an option that is taken away, are kept as comments
     of their own.
 
-    - Raises ConfigurationError: The text cannot be changed so, for instance where a value comes from an
-      anchor.
+    Raises
+    ------
+    ConfigurationError
+        The text cannot be changed so, for instance where a value comes from an anchor.
     """
     at = name
     for _ in range(_MOST_CHANGES):

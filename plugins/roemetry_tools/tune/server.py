@@ -103,7 +103,10 @@ def serve(session: Session, port: int, on_ready: Callable[[str], None]) -> None:
     - `port`: 0: any that is free.
     - `on_ready`: Called with the page's address once it can be opened.
 
-    - Raises ConfigurationError: The port is taken.
+    Raises
+    ------
+    ConfigurationError
+        The port is taken.
     """
     token = secrets.token_urlsafe(16)  # 128 bits: other users of this machine reach the port, too
     app = app_of(session, token)

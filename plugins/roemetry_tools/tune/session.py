@@ -71,8 +71,12 @@ class Session:
 
     With `debug`, faults of a stage that are no refusal pass through, with their traceback.
 
-    - Raises ConfigurationError: The recipe is not sound as it stands.
-    - Raises DataError: Its source has nothing.
+    Raises
+    ------
+    ConfigurationError
+        The recipe is not sound as it stands.
+    DataError
+        Its source has nothing.
     """
 
     def __init__(self, path: Path, registry: Registry | None = None, *, debug: bool = False) -> None:
@@ -153,9 +157,12 @@ class Session:
 
         What the recipe's file held when it was opened is kept beside it; gives where, and the recipe anew.
 
-        - Raises ConfigurationError: The wish is not sound; the file was changed by someone else; the other
-          file is there already.
-        - Raises OutputError: It cannot be written; the old file is as it was.
+        Raises
+        ------
+        ConfigurationError
+            The wish is not sound; the file was changed by someone else; the other file is there already.
+        OutputError
+            It cannot be written; the old file is as it was.
         """
         with self._lock:
             draft = draft_of(self._base, wish)

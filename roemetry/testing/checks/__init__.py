@@ -14,7 +14,6 @@ from roemetry.testing.checks import (
     extractor,
     files,
     grids,
-    live,
     points,
     stripes,
     volume,
@@ -23,7 +22,7 @@ from roemetry.testing.checks import (
 
 Check = Callable[[Any], None]
 
-_MODULES = (extractor, stripes, points, volume, weigher, classes, files, live)
+_MODULES = (extractor, stripes, points, volume, weigher, classes, files)
 _CALLED = {"estimator": "volume"}
 _CONNECTED = ("feed", "outlet")
 """Kinds that talk to the world: no call of theirs is like another."""

@@ -12,8 +12,7 @@ from roemetry.records import Frame, Peaks
 from roemetry.stages import Calibrator, Coder, Extractor, Triangulator
 from roemetry.testing.cases import calibration_for, calibration_set_for
 from roemetry.testing.checks.points import require_it_survives_its_file
-from roemetry.testing.grids import GridRig
-from roemetry.testing.scenes import frame_of
+from roemetry.testing.scenes import GridRig, frame_of
 from roemetry.testing.verdict import refused, require
 
 _FOUND_MIN = 0.99

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from roemetry.records import Frame
 from roemetry.records.live import LiveFrame
-from roemetry_line.feeds.frame_numbers import FrameNumbers
+from roemetry_line.feeds.camera import FrameNumbers
 from roemetry_line.station import Exposures
 
 

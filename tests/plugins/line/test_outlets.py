@@ -18,10 +18,9 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import pytest
 
 from roemetry.errors import OutputError
+from roemetry_line.outlets.acknowledged_lines import Serial, SerialOptions, Tcp, TcpOptions
 from roemetry_line.outlets.database import Database, DatabaseOptions, connect
 from roemetry_line.outlets.modbus import Modbus, ModbusOptions, Registers, answered
-from roemetry_line.outlets.serial import Serial, SerialOptions
-from roemetry_line.outlets.tcp import Tcp, TcpOptions
 from roemetry_line.outlets.webhook import Webhook, WebhookOptions
 from tests.plugins.line.loopback import free_port, keys, row, wait_for
 

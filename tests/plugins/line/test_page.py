@@ -18,8 +18,7 @@ from roemetry_line.line_file import Line
 from roemetry_line.outbox import NewRow, Outbox
 from roemetry_line.outlets.database import COLUMNS, connect
 from roemetry_line.page import app as page_app
-from roemetry_line.page.app import LinePage
-from roemetry_line.page.snapshot import snapshot_of
+from roemetry_line.page.app import LinePage, snapshot_of
 from roemetry_line.page.users import Users, read_users, set_password
 from roemetry_line.runs import tiff_of
 

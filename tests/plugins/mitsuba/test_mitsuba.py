@@ -59,8 +59,8 @@ def matt(albedo: float) -> Material:
 
 def test_both_simulators_find_the_same_stripe_centres_on_the_same_body(rng: np.random.Generator) -> None:
     from roemetry_simulate.products.mesh import MeshSolid
+    from roemetry_simulate.ray_caster import stripe_centres
     from roemetry_simulate.scene import RayCasterOptions, rig_of
-    from roemetry_simulate.truth import stripe_centres
 
     body = skein(rng, SkeinOptions(kinds={"folded": 1.0})).body.moved(1.3, -2.1, 7.0)
     mine = crossings(*rig(TILTED), [body]).record()

@@ -16,13 +16,11 @@ from roemetry.config.scene import Scene
 from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, Sensor
 from roemetry.records.calibration import Calibration
-from roemetry.testing.grids import GridRig
-from roemetry.testing.scenes import frame_of
+from roemetry.testing.scenes import GridRig, frame_of
 from roemetry_coding.grid import GridPlanes, _asked_again, _Families
 from roemetry_patterns.dot_surface import _pooled
 from roemetry_peaks.grid_lines import GridLines
-from roemetry_pinhole.grid_calibrator import _turning
-from roemetry_pinhole.grid_planes import ACROSS, turned_parameters
+from roemetry_pinhole.grid import ACROSS, _turning, turned_parameters
 from roemetry_pinhole.pinhole_plane import points_of, view_of
 from roemetry_simulate.optics import turned
 from roemetry_simulate.scene import camera_of

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from roemetry.calibrating.sphere_plate import centres
 from roemetry.records import CalibrationSet, Frame, Observation, Peaks, SpherePlate
 from roemetry.records.view import View
 from roemetry_pinhole.geometry import ON_BELT, Geometry, StripePoints, stripe_residuals, turned
 from roemetry_pinhole.pinhole_plane import belt_pose, lines_at_height, parameters_of
-from roemetry_pinhole.plates import centres
 from roemetry_pinhole.solids import Shape, inside
 from roemetry_pinhole.verdict import lifted
 

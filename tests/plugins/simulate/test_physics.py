@@ -11,11 +11,11 @@ import pytest
 
 from roemetry.config.scene import Scene
 from roemetry_simulate.optics import Focus, blur_sigma_px, defocused, depths_mm, fan_through, looking_down
+from roemetry_simulate.ray_caster import stripe_centres
 from roemetry_simulate.render import Rig, Sensor, expose, laser_light
 from roemetry_simulate.scene import RayCasterOptions, rig_of
 from roemetry_simulate.solid import Block, Body, EmptyBelt
 from roemetry_simulate.surface import even
-from roemetry_simulate.truth import stripe_centres
 
 HERRING_ROE = Path(__file__).parents[3] / "recipes" / "herring_roe"
 LENS = (-0.21, 0.08, 0.002, -0.0015, 0.01)

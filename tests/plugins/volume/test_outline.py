@@ -11,8 +11,8 @@ import pytest
 from roemetry.errors import StageError
 from roemetry.records import Frame, Reason, StripeMap
 from roemetry_volume import edge_contour
-from roemetry_volume.contour_edge import closed_path
 from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions
+from roemetry_volume.edge_search import closed_path
 from roemetry_volume.outline_features import features_of
 
 ROWS, COLUMNS = 240, 360

@@ -102,7 +102,7 @@ def test_a_changed_image_is_refused(dataset, compared) -> None:
 
 
 def test_without_a_data_set_there_are_times_and_a_reason(line, tmp_path: Path) -> None:
-    variants = variants_of(line(2), "extractor=local-maximum")
+    variants = variants_of(line(2), "extractor=log-parabola")
     data = Data(variants[0].recipe)
     with ItemsFile(tmp_path / "out") as file:
         found = compare(variants, data, on_scored=file.add)
@@ -147,24 +147,26 @@ def test_labels_count_instead_of_those_of_the_set_or_without_one(dataset, tmp_pa
 
 
 def test_every_variant_stands_once_and_the_recipe_first(line) -> None:
-    vary = ("stages.extractor.options.threshold=15,60", "extractor=local-maximum,dominant-peak")
-    made = variants_of(line(1), *vary)
-    assert [variant.name for variant in made] == ["recipe", "local-maximum", "threshold=15"]
-    assert made[0].settings == {"extractor": "dominant-peak", "stages.extractor.options.threshold": "60"}
+    """`log-parabola` has no option `start`: it is not varied with it."""
+    vary = ("stages.extractor.options.start=fixed,lowest", "extractor=log-parabola,dominant-peak")
+    sets = ["stages.extractor.options.start=lowest"]
+    made = variants_of(line(1), *vary, sets=sets)
+    assert [variant.name for variant in made] == ["recipe", "log-parabola", "start=fixed"]
+    assert made[0].settings == {"extractor": "dominant-peak", "stages.extractor.options.start": "lowest"}
     local = made[1].recipe.stages["extractor"]
     assert local.options == local.stage.Options()
 
 
 def test_what_is_said_of_the_product_stays_when_the_method_is_exchanged(line) -> None:
-    """The underside is the product's; the ends are the method's; another method's default may differ."""
-    own = "{ends: hold, underside: rounded, true_share: 0.9, true_share_std: 0.02}"
+    """The underside is the product's; the rule between slices is the method's."""
+    own = "{underside: rounded, true_share: 0.9, true_share_std: 0.02}"
     path, sets = line(1), [f"stages.volume={{use: slice-pchip, options: {own}}}"]
-    _, simpson, zero_order = variants_of(path, "volume=slice-simpson,zero-order-hold", sets=sets)
+    _, trapezoid, zero_order = variants_of(path, "volume=slice-trapezoid,zero-order-hold", sets=sets)
     shares = "stages.volume.options.true_share=0.8"
-    _, other, *_ = variants_of(path, "volume=slice-simpson", shares, sets=sets)
-    assert simpson.name == "slice-simpson"
-    options = simpson.recipe.stages["volume"].options.model_dump()
-    assert (options["underside"], options["ends"]) == ("rounded", "taper")
+    _, other, *_ = variants_of(path, "volume=slice-trapezoid", shares, sets=sets)
+    assert trapezoid.name == "slice-trapezoid"
+    options = trapezoid.recipe.stages["volume"].options.model_dump()
+    assert options["underside"] == "rounded"
     assert (options["true_share"], options["true_share_std"]) == (0.9, 0.02)
     assert zero_order.fault == ""
     assert other.recipe.stages["volume"].options.model_dump()["true_share"] == 0.8
@@ -183,8 +185,8 @@ def test_what_is_said_of_the_product_stays_when_the_method_is_exchanged(line) ->
         ("extractor", "expected KIND=name,name"),
         ("gaussian", "did you mean `extractor=gaussian`?"),
         ("extractor=", "a value is missing"),
-        ("extractor=local-maximum,", "a value is missing"),
-        ("stages.extractor=local-maximum", "write `extractor=…`"),
+        ("extractor=log-parabola,", "a value is missing"),
+        ("stages.extractor=log-parabola", "write `extractor=…`"),
         ("stages.outliner.options.x=1", "the recipe has no outliner"),
     ],
 )

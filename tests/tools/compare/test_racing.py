@@ -98,7 +98,7 @@ def test_an_acquisition_of_which_workers_die_is_refused_for_every_variant(datase
             for number, task in enumerate(tasks):
                 yield Lost(task, "every worker died") if number == 0 else worker(task)
 
-    variants = make_variants(dataset(), ["extractor=local-maximum"], registry=discover())
+    variants = make_variants(dataset(), ["extractor=log-parabola"], registry=discover())
     found = compare(variants, Data(variants[0].recipe), executor=LosesTheFirst())
     for one in found:
         assert [(cause.code, cause.count) for cause in one.figures.causes] == [("process-died", 1)]

@@ -1,4 +1,4 @@
-"""The source `height-files`: slices from files of heights and points that other sensors have made."""
+"""Files of heights and points: the source `height-files` reads them, the sink `slices` writes them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from roemetry.errors import DataError
+from roemetry.errors import DataError, RoemetryError
+from roemetry.io.files import make_folder
 from roemetry.records import Acquisition, AcquisitionReference
-from roemetry.stages import Capabilities, Source, StageOptions
-from roemetry_scan.formats import SUFFIXES, read
-from roemetry_scan.formats.points import Measured, profiles_of
+from roemetry.stages import Capabilities, Run, Sink, Source, StageOptions
+from roemetry_scan.formats import SUFFIXES, read, write
+from roemetry_scan.formats.points import Measured, measured_of, profiles_of
 
 _MM = {"mm": 1.0, "m": 1000.0, "um": 1e-3, "inch": 25.4}
 
@@ -74,3 +75,38 @@ class HeightMaps(Source[HeightSourceOptions]):
         std_mm = found.std_mm * _MM[self.options.unit]
         profiles = profiles_of(Measured(xyz, std_mm), self.options.pixel_mm, str(path))
         return Acquisition(reference.id, (), profiles=profiles)
+
+
+class SlicesOptions(StageOptions):
+    """Options of `SliceFiles`."""
+
+    format: Literal["ply", "pcd", "las", "csv", "tif", "png", "npy", "x3p"] = Field(
+        default="ply", description="clouds that keep their slices (ply, pcd, las, csv), or height maps"
+    )
+
+
+class SliceFiles(Sink[SlicesOptions]):
+    """Writes ``slices/<acquisition>.<format>``: what was seen of belt and products, belt frame, mm.
+
+    Clouds keep each point's slice and place in it. Height maps hold a slice a column, each pixel with its own
+    X, Y and Z. What was bridged or followed is left out: who reads the file follows it again.
+    """
+
+    Options: ClassVar[type[StageOptions]] = SlicesOptions
+
+    def write(self, run: Run) -> Sequence[Path]:
+        """Write a file for each acquisition that was triangulated; what is gone is passed over."""
+        folder = run.folder / "slices"
+        make_folder(folder)
+        written: list[Path] = []
+        for name in dict.fromkeys(row.acquisition for row in run.measurements()):
+            try:
+                profiles = run.replay(name).profiles
+            except RoemetryError:
+                continue
+            if profiles is None:
+                continue
+            # whatever a source calls its acquisitions, the file stays in its folder
+            path = folder / f"{name.replace('/', '_').replace(chr(92), '_')}.{self.options.format}"
+            written += write(path, measured_of(profiles))
+        return written
