@@ -136,11 +136,10 @@ class BeltLines(Aligner[BeltLinesOptions]):
                 hint="look at the image; take it again, and look at cable and frame grabber",
             )
         every = max(1, calibration.image_size[0] // _ROWS_USED)
-        widths = np.array(_WIDTHS) * search_px
         fit = _Fit(*_fitted(
-            peaks.row_start, peaks.x_px, model.lines, model.answer, every, search_px, widths,
-            _LAST_ROUNDS, _SIGMAS, _SIGMA_MIN_PX, _BLOCKS, _OUTER_SHARE, _SETTLED_PX, _STRIPE_PEAKS_MIN,
-            _STRIPE_SPREAD_PX,
+            peaks.row_start, peaks.x_px, model.lines, model.answer, every, search_px,
+            _WIDTHS, _LAST_ROUNDS, _SIGMAS, _SIGMA_MIN_PX, _BLOCKS, _OUTER_SHARE, _SETTLED_PX,
+            _STRIPE_PEAKS_MIN, _STRIPE_SPREAD_PX,
         ))  # fmt: skip
         if fit.used < _PEAKS_MIN:
             return Alignment(
@@ -154,11 +153,9 @@ class BeltLines(Aligner[BeltLinesOptions]):
                     ),
                 ),
             )
-        answer = model.edges  # (place, 4)
-        off_px = answer @ fit.motion
-        worst = int(np.abs(off_px).argmax())
-        largest = float(abs(off_px[worst]))
-        largest_std = math.sqrt(float(answer[worst] @ fit.covariance @ answer[worst]))
+        largest, largest_std, natural, rounded, covariance = _at_the_edge(
+            fit.motion, fit.covariance, model.edges, model.scale, _QUANTUM_PX
+        )
         if fit.outer_peaks and fit.outer_fit < _OUTER_FIT_MIN * fit.outer_peaks:
             raise StageError(
                 f"of the stripes at the image's top and bottom only {fit.outer_fit / fit.outer_peaks:.0%} "
@@ -166,7 +163,6 @@ class BeltLines(Aligner[BeltLinesOptions]):
                 hint="camera, laser or belt have moved far, or the calibration is of another rig: "
                 "calibrate again",
             )
-        natural = fit.motion * model.scale
         if largest > self.options.refuse_from_px + 2.0 * largest_std:
             raise StageError(
                 f"the belt's stripes lie up to {largest:.1f} px beside the calibrated rest lines "
@@ -191,24 +187,21 @@ class BeltLines(Aligner[BeltLinesOptions]):
                     f"{2 * largest_std:.1f} px whether camera, laser or belt have moved",
                 )
             )
-        stripe_px = np.where(fit.of_stripe >= _STRIPE_PEAKS_MIN, fit.stripe_px, np.nan)
-        planes_px, said = _stripes_that_moved(stripe_px, fit.sigma_px)
+        planes_px, said = _stripes_that_moved(fit.stripe_px, fit.sigma_px)
         reasons += said
-        motion = np.round(fit.motion / _QUANTUM_PX) * _QUANTUM_PX * model.scale
-        covariance = fit.covariance * model.scale[:, None] * model.scale
         covariance[2, 2] += (natural[0] / model.focal_px) ** 2  # what has moved is not known: see above
         return Alignment(
-            motion=motion if corrected else np.zeros(4),
+            motion=rounded if corrected else np.zeros(4),
             covariance=covariance,
             largest_px=largest,
             largest_std_px=largest_std,
-            stripe_px=stripe_px,
+            stripe_px=fit.stripe_px,
             planes_px=planes_px,
             planes_std_px=math.hypot(
-                fit.sigma_px / math.sqrt(_BLOCKS), _PLANE_DOUBT * float(np.abs(planes_px).max())
+                fit.sigma_px / math.sqrt(_BLOCKS), _PLANE_DOUBT * max(map(abs, planes_px.tolist()))
             ),
             reasons=tuple(reasons),
-            edge_px=tuple(fit.motion.round(4).tolist()),
+            edge_px=tuple(round(px, 4) for px in fit.motion.tolist()),
         )
 
 
@@ -229,14 +222,16 @@ class _Model(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    """What `_fitted` gives; the motion in the units of `_Model.answer`."""
+    """What `_fitted` gives; the motion in the units of `_Model.answer`.
+
+    `stripe_px` (stripe,) is NaN where a stripe has too few peaks on the belt.
+    """
 
     motion: Floats
     covariance: Floats
     used: int
     sigma_px: float
     stripe_px: Floats
-    of_stripe: Integers
     outer_peaks: int
     outer_fit: int
 
@@ -313,9 +308,9 @@ def _stripes_that_moved(stripe_px: Floats, sigma_px: float) -> tuple[Floats, lis
 @float_kernel
 def _fitted(
     row_start: Integers, x_px: Floats, lines: Floats, answer: Floats, every: int, search_px: float,
-    widths: Floats, last_rounds: int, sigmas: float, sigma_min_px: float, blocks: int, outer_share: float,
-    settled_px: float, stripe_peaks_min: int, stripe_spread_px: float,
-) -> tuple[Floats, Floats, int, float, Floats, Integers, int, int]:  # fmt: skip
+    widths: tuple[float, ...], last_rounds: int, sigmas: float, sigma_min_px: float, blocks: int,
+    outer_share: float, settled_px: float, stripe_peaks_min: int, stripe_spread_px: float,
+) -> tuple[Floats, Floats, int, float, Floats, int, int]:  # fmt: skip
     """Fit the motion; see `_Fit` and the model above. `lines` and `answer` as in `_Model`."""
     rows, stripes = lines.shape
     count = 0
@@ -344,8 +339,8 @@ def _fitted(
     theta, before = np.zeros(4), np.zeros(4)
     normal, right = np.zeros((4, 4)), np.zeros(4)
     sigma = search_px
-    for turn in range(widths.size + last_rounds):
-        width = widths[turn] if turn < widths.size else sigmas * sigma
+    for turn in range(len(widths) + last_rounds):
+        width = widths[turn] * search_px if turn < len(widths) else sigmas * sigma
         total, sum_weight = 0.0, 0.0
         n00, n01, n02, n03, n11, n12, n13, n22, n23, n33 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         r0, r1, r2, r3 = 0.0, 0.0, 0.0, 0.0
@@ -387,7 +382,7 @@ def _fitted(
         farthest = 0.0
         for k in range(4):
             farthest = max(farthest, abs(theta[k] - before[k]))
-        if turn >= widths.size and farthest < settled_px:
+        if turn >= len(widths) and farthest < settled_px:
             break
     # what is left: of each block, of each stripe, of the image's ends
     slope = np.zeros((stripes + blocks, 4))
@@ -435,7 +430,7 @@ def _fitted(
             if 2 * near * every > rows and at_ends:
                 stripe_sum[s], of_stripe[s] = total, near
     for s in range(stripes):
-        stripe_sum[s] /= max(of_stripe[s], 1)
+        stripe_sum[s] = stripe_sum[s] / of_stripe[s] if of_stripe[s] >= stripe_peaks_min else np.nan
     # what each block and each stripe pulls the motion by: their squares are its covariance
     covariance, pulled, unused = np.zeros((4, 4)), np.zeros(4), np.zeros(4)
     for block in range(stripes + blocks):
@@ -443,7 +438,32 @@ def _fitted(
         for k in range(4):
             for j in range(4):
                 covariance[k, j] += pulled[k] * pulled[j]
-    return theta, covariance, used, sigma, stripe_sum, of_stripe, outer, outer_fit
+    return theta, covariance, used, sigma, stripe_sum, outer, outer_fit
+
+
+@float_kernel
+def _at_the_edge(
+    motion: Floats, covariance: Floats, edges: Floats, scale: Floats, quantum: float
+) -> tuple[float, float, Floats, Floats, Floats]:
+    """Say how far a motion moves the edge where it does most, px, its uncertainty, and what it is in nature.
+
+    That is as found, rounded to `quantum` at the edge, and its covariance, in the units of `PARAMETERS`.
+    """
+    worst, largest, variance = 0, -1.0, 0.0
+    for place in range(len(edges)):
+        off = 0.0
+        for k in range(4):
+            off += edges[place, k] * motion[k]
+        if abs(off) > largest:
+            worst, largest = place, abs(off)
+    natural, rounded, scaled = np.empty(4), np.empty(4), np.empty((4, 4))
+    for k in range(4):
+        natural[k] = motion[k] * scale[k]
+        rounded[k] = np.rint(motion[k] / quantum) * quantum * scale[k]
+        for j in range(4):
+            variance += edges[worst, k] * covariance[k, j] * edges[worst, j]
+            scaled[k, j] = covariance[k, j] * scale[k] * scale[j]
+    return largest, math.sqrt(max(variance, 0.0)), natural, rounded, scaled
 
 
 @float_kernel

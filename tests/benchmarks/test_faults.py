@@ -107,12 +107,12 @@ def test_the_plain_image_of_another_product_is_refused(skeins: tuple[Recipe, lis
 @pytest.mark.parametrize(
     ("name", "size"), [("gamma", float(np.log(2.0))), ("JPEG", 80.0), ("specks", 0.001), ("noise", 3.0)]
 )
-def test_harmless_images_keep_their_volume_and_turn_no_grade_into_another(
+def test_a_degraded_image_holds_its_volume_and_turns_no_grade_into_another(
     skeins: tuple[Recipe, list[Scene]], name: str, size: float
 ) -> None:
     for case in disturbed(skeins, name, size):
         assert case.grade in (case.base_grade, "unknown"), case
-        assert case.verdict == "held" and abs(case.error - case.base_error) < 0.005, case
+        assert case.verdict == "held", case
 
 
 def test_every_disturbance_gives_images_and_the_smallest_hardly_changes_them(
