@@ -62,9 +62,11 @@ _SHIFT_WITH_GRAIN_PX = 0.03
 _GRAIN_ROWS, _GRAIN_BESIDE, _GRAIN_REACH_PX = 24, 8, 1.2
 """So many rows above and below a shift are looked at, of stripes that go on within so many pixels, against so
 many rows on either side."""
+_FROM_RIM = 3
+"""Rows on either side in which a stripe lies on the belt, or on a product: rims may lie along the rows."""
 _GRAIN_MOST = 8.0
 """One stripe counts for no more: an edge, or glare."""
-_GRAIN_MIN, _GRAIN_TIMES_NEXT = 2.4, 1.5
+_GRAIN_MIN, _GRAIN_TIMES_NEXT = 2.5, 1.6
 """Times the usual change, and times that of any other boundary near it."""
 
 
@@ -96,7 +98,7 @@ def tear_of(
         twice = 2.0 * x_px
         rounded = bool((np.floor(twice) == twice).all())
     least_px = _ROUNDED_JUMP_MIN_PX if rounded else _JUMP_MIN_PX
-    row, jump_px, usual_px, shift_row, shift_px, usual_shift_px = _largest_jump(
+    row, jump_px, usual_px, shift_row, shift_px, usual_shift_px, bends = _largest_jump(
         row_start, x_px, lines_px, _REACH_SHARE * spacing_px, _OFF_BELT_PX, _BELT_PX, _STEP_MAX_PX,
         _STRIPES_MIN, _SAMPLED_ROWS, _TIMES_USUAL, least_px,
     )  # fmt: skip
@@ -104,12 +106,12 @@ def tear_of(
         return Tear(row, jump_px)
     if shift_row < 0 or rounded:
         return None
-    if shift_px >= max(_SHIFT_MIN_PX, _TIMES_USUAL * usual_shift_px):
+    if shift_px >= max(_SHIFT_MIN_PX, _TIMES_USUAL * usual_shift_px) and not bends:
         return Tear(shift_row, shift_px, of_belt=True)
     if shift_px >= _SHIFT_WITH_GRAIN_PX:
         row, change, next_change = _grain(
-            row_start, x_px, amplitude, shift_row - _GRAIN_ROWS, shift_row + _GRAIN_ROWS, _GRAIN_BESIDE,
-            _GRAIN_REACH_PX, _GRAIN_MOST, _STRIPES_MIN,
+            row_start, x_px, amplitude, lines_px, shift_row - _GRAIN_ROWS, shift_row + _GRAIN_ROWS,
+            _GRAIN_BESIDE, _GRAIN_REACH_PX, _GRAIN_MOST, _STRIPES_MIN, _BELT_PX, _OFF_BELT_PX, _FROM_RIM,
         )  # fmt: skip
         if change >= max(_GRAIN_MIN, _GRAIN_TIMES_NEXT * next_change):
             return Tear(row, shift_px, of_belt=True)
@@ -120,7 +122,7 @@ def tear_of(
 def _largest_jump(
     row_start: Integers, x_px: Floats, lines_px: Floats, reach_px: float, off_belt_px: float,
     belt_px: float, step_max_px: float, stripes_min: int, sampled: int, times_usual: float, least_px: float,
-) -> tuple[int, float, float, int, float, float]:  # fmt: skip
+) -> tuple[int, float, float, int, float, float, bool]:  # fmt: skip
     """Give the row, the median jump and the usual jump where product or belt jump most; row −1 of none.
 
     And the same of where the belt is shifted most (`_shift`).
@@ -232,8 +234,9 @@ def _largest_jump(
 
 @float_kernel
 def _grain(
-    row_start: Integers, x_px: Floats, amplitude: Floats, first_row: int, last_row: int, beside: int,
-    reach_px: float, most: float, stripes_min: int,
+    row_start: Integers, x_px: Floats, amplitude: Floats, lines_px: Floats, first_row: int, last_row: int,
+    beside: int, reach_px: float, most: float, stripes_min: int, belt_px: float, off_belt_px: float,
+    from_rim: int,
 ) -> tuple[int, float, float]:  # fmt: skip
     """Give the row after which the grain breaks off most, by how much, and by how much elsewhere at most.
 
@@ -245,6 +248,16 @@ def _grain(
     low, high = max(first_row - beside - 2, 0), min(last_row + beside + 2, rows - 1)
     start, size = row_start[low], row_start[high + 1] - row_start[low]
     after, before = np.full(size, -1), np.full(size, -1)
+    kind = np.zeros(size, np.int64)  # 1 on the belt, 2 on a product, 0 between
+    for row in range(low, high + 1):
+        line = 0
+        for p in range(row_start[row], row_start[row + 1]):
+            while line + 1 < lines_px.shape[1] and abs(x_px[p] - lines_px[row, line + 1]) < abs(
+                x_px[p] - lines_px[row, line]
+            ):
+                line += 1
+            off = abs(x_px[p] - lines_px[row, line])
+            kind[p - start] = 1 if off <= belt_px else 2 if off > off_belt_px else 0
     for row in range(low, high):
         nearest, stop = row_start[row + 1], row_start[row + 2]
         for p in range(row_start[row], row_start[row + 1]):
@@ -252,6 +265,13 @@ def _grain(
                 nearest += 1
             if nearest < stop and abs(x_px[nearest] - x_px[p]) <= reach_px:
                 after[p - start], before[nearest - start] = nearest - start, p - start
+    above, below = np.zeros(size, np.int64), np.zeros(size, np.int64)  # rows in which it is of the same kind
+    for p in range(size):
+        if before[p] >= 0 and kind[before[p]] == kind[p]:
+            above[p] = above[before[p]] + 1
+    for p in range(size - 1, -1, -1):
+        if after[p] >= 0 and kind[after[p]] == kind[p]:
+            below[p] = below[after[p]] + 1
     moved, brighter = np.full(size, -1.0), np.full(size, -1.0)  # squares of the changes; -1: none
     for p in range(size):
         a, c = before[p], after[p]
@@ -269,6 +289,8 @@ def _grain(
         stripes, total = 0, 0.0
         for p in range(row_start[row] - start, row_start[row + 1] - start):
             if moved[p] < 0.0 or brighter[p] < 0.0:
+                continue
+            if kind[p] == 0 or above[p] < from_rim or below[p] <= from_rim:
                 continue
             known, usual_moved, usual_brighter = 0, 0.0, 0.0
             back, on = before[p], after[p]
@@ -320,8 +342,10 @@ def _note(
 
 
 @float_kernel
-def _shift(off_sum: Floats, near: Floats, sampled: int) -> tuple[int, float, float]:
-    """Give the row at which the belt is shifted most, how far, and how far it usually is; row −1 of none.
+def _shift(off_sum: Floats, near: Floats, sampled: int) -> tuple[int, float, float, bool]:
+    """Give the row at which the belt is shifted most, how far, how far it usually is, and whether it bends.
+
+    A bend in the lines goes on. Row −1 of none.
 
     Parameters
     ----------
@@ -350,7 +374,7 @@ def _shift(off_sum: Floats, near: Floats, sampled: int) -> tuple[int, float, flo
             middle[known] = shift[k]
             known += 1
     if known < 2 * _SHIFT_BLOCKS:
-        return -1, 0.0, 0.0
+        return -1, 0.0, 0.0, False
     turned = median_of(middle[:known])  # of a camera that has turned: the same everywhere
     usual = median_of(np.abs(middle[:known] - turned))
     worst, most = -1, 0.0
@@ -358,7 +382,8 @@ def _shift(off_sum: Floats, near: Floats, sampled: int) -> tuple[int, float, flo
         here = abs(shift[k] - turned)
         if here < np.inf and here > most:
             worst, most = k, here
-    for k in (worst - _SHIFT_BLOCKS, worst + _SHIFT_BLOCKS):  # a bend in the lines goes on
-        if _SHIFT_BLOCKS <= k < blocks - _SHIFT_BLOCKS and np.inf > abs(shift[k] - turned) > 0.5 * most:
-            return -1, 0.0, usual
-    return worst * sampled - 1, most, usual
+    bends = False
+    for k in (worst - _SHIFT_BLOCKS, worst + _SHIFT_BLOCKS):
+        if _SHIFT_BLOCKS <= k < blocks - _SHIFT_BLOCKS:
+            bends |= np.inf > abs(shift[k] - turned) > 0.5 * most
+    return worst * sampled - 1, most, usual, bends
