@@ -13,8 +13,8 @@ the rows lost, which means over 40 rows tell. Textures shift it, too, by less th
 Grain. A smaller shift counts where the grain of the light breaks off, too. Speckle and texture displace a
 stripe and brighten it, and the lens blurs them over rows: so from row to row both change by less than they do
 over three. Of each stripe the change between rows r and r + 1 less a quarter of those before and after it,
-squared, is compared with its mean over eight rows on either side; at a tear it is several times as large on
-all stripes at once. Edges of blocks of a JPEG file break it off, too, but every eight rows.
+squared, is compared with its mean over some eight rows on either side; at a tear it is several times as large
+on all stripes at once. Edges of blocks of a JPEG file break it off, too, but every eight rows.
 
 Fails where the tear crosses no product (then it harms none), where what is joined fits by accident (few rows
 lost on a level product, or lines that do not lean), and on steps along the rows to a quarter of a degree.
@@ -22,7 +22,6 @@ lost on a level product, or lines that do not lean), and on steps along the rows
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -246,6 +245,7 @@ def _grain(
     rows = row_start.size - 1
     first_row, last_row = max(first_row, 1), min(last_row, rows - 3)
     low, high = max(first_row - beside - 2, 0), min(last_row + beside + 2, rows - 1)
+    fading = 1.0 - 1.0 / beside
     start, size = row_start[low], row_start[high + 1] - row_start[low]
     after, before = np.full(size, -1), np.full(size, -1)
     kind = np.zeros(size, np.int64)  # 1 on the belt, 2 on a product, 0 between
@@ -280,9 +280,25 @@ def _grain(
             b = p + start
             a, c, d = a + start, c + start, d + start
             moved[p] = (1.25 * (x_px[c] - x_px[b]) - 0.25 * (x_px[d] - x_px[a])) ** 2
-            if min(amplitude[a], amplitude[b], amplitude[c], amplitude[d]) > 0.0:
-                light = amplitude[c] / amplitude[b]
-                brighter[p] = (1.25 * math.log(light) - 0.25 * math.log(amplitude[d] / amplitude[a])) ** 2
+            light = amplitude[b] + amplitude[c]
+            if light > 0.0:
+                brighter[p] = (
+                    (2.5 * (amplitude[c] - amplitude[b]) - 0.5 * (amplitude[d] - amplitude[a])) / light
+                ) ** 2
+    # of what is above and below each peak: sums that fade along the stripe, and of how many rows they are
+    sums = np.zeros((6, size + 1))  # the last place is that of no peak
+    rows_up, moved_up, brighter_up = sums[0], sums[1], sums[2]
+    rows_down, moved_down, brighter_down = sums[3], sums[4], sums[5]
+    for p in range(size):
+        to, counts = before[p], min(moved[p], brighter[p]) >= 0.0
+        rows_up[p] = fading * rows_up[to] + (1.0 if counts else 0.0)
+        moved_up[p] = fading * moved_up[to] + (moved[p] if counts else 0.0)
+        brighter_up[p] = fading * brighter_up[to] + (brighter[p] if counts else 0.0)
+    for p in range(size - 1, -1, -1):
+        to, counts = after[p], min(moved[p], brighter[p]) >= 0.0
+        rows_down[p] = fading * rows_down[to] + (1.0 if counts else 0.0)
+        moved_down[p] = fading * moved_down[to] + (moved[p] if counts else 0.0)
+        brighter_down[p] = fading * brighter_down[to] + (brighter[p] if counts else 0.0)
     change = np.zeros(rows)
     worst = -1
     for row in range(first_row, last_row + 1):
@@ -292,20 +308,10 @@ def _grain(
                 continue
             if kind[p] == 0 or above[p] < from_rim or below[p] <= from_rim:
                 continue
-            known, usual_moved, usual_brighter = 0, 0.0, 0.0
-            back, on = before[p], after[p]
-            for _ in range(beside):
-                if back >= 0:
-                    if moved[back] >= 0.0 and brighter[back] >= 0.0:
-                        known, usual_moved = known + 1, usual_moved + moved[back]
-                        usual_brighter += brighter[back]
-                    back = before[back]
-                if on >= 0:
-                    if moved[on] >= 0.0 and brighter[on] >= 0.0:
-                        known, usual_moved = known + 1, usual_moved + moved[on]
-                        usual_brighter += brighter[on]
-                    on = after[on]
-            if known >= beside and usual_moved > 0.0 and usual_brighter > 0.0:
+            known = rows_up[before[p]] + rows_down[after[p]]
+            usual_moved = moved_up[before[p]] + moved_down[after[p]]
+            usual_brighter = brighter_up[before[p]] + brighter_down[after[p]]
+            if known >= 0.5 * beside and usual_moved > 0.0 and usual_brighter > 0.0:
                 stripes += 1
                 total += min(moved[p] * known / usual_moved, most)
                 total += min(brighter[p] * known / usual_brighter, most)
