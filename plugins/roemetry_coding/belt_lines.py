@@ -16,17 +16,6 @@ stands in its variance.
 
 Assumes that belt is seen at the ends of the image, and that nothing has moved by more than a few pixels. It
 fails, and says so, where the belt is hidden or where lines that fit no small motion are seen.
-
-Torn frames. A product's surface is continuous from row to row, and where it is not (an edge, a step), the
-edge crosses the stripes one after another: only by accident do five stripes and more jump between the same
-two rows while each lies on a product before and after. A sensor's or a transport's fault tears all of them
-there. The jump of a stripe between rows r and r + 1 is its step less the mean of the steps before and after
-it, so that a slope is none; the product's ends are left out. On the belt it is the step less that of the rest
-line: where all jump alike, what follows was taken from another place. Where a product is level nothing jumps,
-but lines lean: all belt below lies aside by the lean times the rows lost, which means over 40 rows tell.
-
-Fails where the tear crosses no product (then it harms none), where what is joined fits by accident (few rows
-lost on a level product, or lines that do not lean), and on steps along the rows to a quarter of a degree.
 """
 
 from __future__ import annotations
@@ -44,6 +33,7 @@ from roemetry.records import Peaks, Reason
 from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.stages import Aligner, StageOptions
+from roemetry_coding.tears import tear_of
 from roemetry_kernels.compiling import float_kernel
 from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.robust_fit import solve
@@ -132,11 +122,11 @@ class BeltLines(Aligner[BeltLinesOptions]):
         ------
         StageError
             The lines have moved by more than `refuse_from_px`, or too little belt fits any small motion; or
-            the frame is torn (`roemetry_coding.belt_lines`).
+            the frame is torn (`roemetry_coding.tears`).
         """
         model = _model_of(calibration, moved)
         search_px = min(_SEARCH_PX, _SEARCH_SPACING * model.spacing_px)
-        tear = tear_of(peaks.row_start, peaks.x_px, model.lines, model.spacing_px)
+        tear = tear_of(peaks.row_start, peaks.x_px, peaks.amplitude, model.lines, model.spacing_px)
         if tear is not None:
             which = "on the belt are shifted" if tear.of_belt else "on the product jump at once"
             where = "at about row" if tear.of_belt else f"between the rows {tear.row} and"
@@ -146,11 +136,10 @@ class BeltLines(Aligner[BeltLinesOptions]):
                 hint="look at the image; take it again, and look at cable and frame grabber",
             )
         every = max(1, calibration.image_size[0] // _ROWS_USED)
-        widths = np.array(_WIDTHS) * search_px
         fit = _Fit(*_fitted(
-            peaks.row_start, peaks.x_px, model.lines, model.answer, every, search_px, widths,
-            _LAST_ROUNDS, _SIGMAS, _SIGMA_MIN_PX, _BLOCKS, _OUTER_SHARE, _SETTLED_PX, _STRIPE_PEAKS_MIN,
-            _STRIPE_SPREAD_PX,
+            peaks.row_start, peaks.x_px, model.lines, model.answer, every, search_px,
+            _WIDTHS, _LAST_ROUNDS, _SIGMAS, _SIGMA_MIN_PX, _BLOCKS, _OUTER_SHARE, _SETTLED_PX,
+            _STRIPE_PEAKS_MIN, _STRIPE_SPREAD_PX,
         ))  # fmt: skip
         if fit.used < _PEAKS_MIN:
             return Alignment(
@@ -164,11 +153,9 @@ class BeltLines(Aligner[BeltLinesOptions]):
                     ),
                 ),
             )
-        answer = model.edges  # (place, 4)
-        off_px = answer @ fit.motion
-        worst = int(np.abs(off_px).argmax())
-        largest = float(abs(off_px[worst]))
-        largest_std = math.sqrt(float(answer[worst] @ fit.covariance @ answer[worst]))
+        largest, largest_std, natural, rounded, covariance = _at_the_edge(
+            fit.motion, fit.covariance, model.edges, model.scale, _QUANTUM_PX
+        )
         if fit.outer_peaks and fit.outer_fit < _OUTER_FIT_MIN * fit.outer_peaks:
             raise StageError(
                 f"of the stripes at the image's top and bottom only {fit.outer_fit / fit.outer_peaks:.0%} "
@@ -176,7 +163,6 @@ class BeltLines(Aligner[BeltLinesOptions]):
                 hint="camera, laser or belt have moved far, or the calibration is of another rig: "
                 "calibrate again",
             )
-        natural = fit.motion * model.scale
         if largest > self.options.refuse_from_px + 2.0 * largest_std:
             raise StageError(
                 f"the belt's stripes lie up to {largest:.1f} px beside the calibrated rest lines "
@@ -201,24 +187,21 @@ class BeltLines(Aligner[BeltLinesOptions]):
                     f"{2 * largest_std:.1f} px whether camera, laser or belt have moved",
                 )
             )
-        stripe_px = np.where(fit.of_stripe >= _STRIPE_PEAKS_MIN, fit.stripe_px, np.nan)
-        planes_px, said = _stripes_that_moved(stripe_px, fit.sigma_px)
+        planes_px, said = _stripes_that_moved(fit.stripe_px, fit.sigma_px)
         reasons += said
-        motion = np.round(fit.motion / _QUANTUM_PX) * _QUANTUM_PX * model.scale
-        covariance = fit.covariance * model.scale[:, None] * model.scale
         covariance[2, 2] += (natural[0] / model.focal_px) ** 2  # what has moved is not known: see above
         return Alignment(
-            motion=motion if corrected else np.zeros(4),
+            motion=rounded if corrected else np.zeros(4),
             covariance=covariance,
             largest_px=largest,
             largest_std_px=largest_std,
-            stripe_px=stripe_px,
+            stripe_px=fit.stripe_px,
             planes_px=planes_px,
             planes_std_px=math.hypot(
-                fit.sigma_px / math.sqrt(_BLOCKS), _PLANE_DOUBT * float(np.abs(planes_px).max())
+                fit.sigma_px / math.sqrt(_BLOCKS), _PLANE_DOUBT * max(map(abs, planes_px.tolist()))
             ),
             reasons=tuple(reasons),
-            edge_px=tuple(fit.motion.round(4).tolist()),
+            edge_px=tuple(round(px, 4) for px in fit.motion.tolist()),
         )
 
 
@@ -239,14 +222,16 @@ class _Model(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    """What `_fitted` gives; the motion in the units of `_Model.answer`."""
+    """What `_fitted` gives; the motion in the units of `_Model.answer`.
+
+    `stripe_px` (stripe,) is NaN where a stripe has too few peaks on the belt.
+    """
 
     motion: Floats
     covariance: Floats
     used: int
     sigma_px: float
     stripe_px: Floats
-    of_stripe: Integers
     outer_peaks: int
     outer_fit: int
 
@@ -323,9 +308,9 @@ def _stripes_that_moved(stripe_px: Floats, sigma_px: float) -> tuple[Floats, lis
 @float_kernel
 def _fitted(
     row_start: Integers, x_px: Floats, lines: Floats, answer: Floats, every: int, search_px: float,
-    widths: Floats, last_rounds: int, sigmas: float, sigma_min_px: float, blocks: int, outer_share: float,
-    settled_px: float, stripe_peaks_min: int, stripe_spread_px: float,
-) -> tuple[Floats, Floats, int, float, Floats, Integers, int, int]:  # fmt: skip
+    widths: tuple[float, ...], last_rounds: int, sigmas: float, sigma_min_px: float, blocks: int,
+    outer_share: float, settled_px: float, stripe_peaks_min: int, stripe_spread_px: float,
+) -> tuple[Floats, Floats, int, float, Floats, int, int]:  # fmt: skip
     """Fit the motion; see `_Fit` and the model above. `lines` and `answer` as in `_Model`."""
     rows, stripes = lines.shape
     count = 0
@@ -354,8 +339,8 @@ def _fitted(
     theta, before = np.zeros(4), np.zeros(4)
     normal, right = np.zeros((4, 4)), np.zeros(4)
     sigma = search_px
-    for turn in range(widths.size + last_rounds):
-        width = widths[turn] if turn < widths.size else sigmas * sigma
+    for turn in range(len(widths) + last_rounds):
+        width = widths[turn] * search_px if turn < len(widths) else sigmas * sigma
         total, sum_weight = 0.0, 0.0
         n00, n01, n02, n03, n11, n12, n13, n22, n23, n33 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         r0, r1, r2, r3 = 0.0, 0.0, 0.0, 0.0
@@ -397,7 +382,7 @@ def _fitted(
         farthest = 0.0
         for k in range(4):
             farthest = max(farthest, abs(theta[k] - before[k]))
-        if turn >= widths.size and farthest < settled_px:
+        if turn >= len(widths) and farthest < settled_px:
             break
     # what is left: of each block, of each stripe, of the image's ends
     slope = np.zeros((stripes + blocks, 4))
@@ -445,7 +430,7 @@ def _fitted(
             if 2 * near * every > rows and at_ends:
                 stripe_sum[s], of_stripe[s] = total, near
     for s in range(stripes):
-        stripe_sum[s] /= max(of_stripe[s], 1)
+        stripe_sum[s] = stripe_sum[s] / of_stripe[s] if of_stripe[s] >= stripe_peaks_min else np.nan
     # what each block and each stripe pulls the motion by: their squares are its covariance
     covariance, pulled, unused = np.zeros((4, 4)), np.zeros(4), np.zeros(4)
     for block in range(stripes + blocks):
@@ -453,7 +438,32 @@ def _fitted(
         for k in range(4):
             for j in range(4):
                 covariance[k, j] += pulled[k] * pulled[j]
-    return theta, covariance, used, sigma, stripe_sum, of_stripe, outer, outer_fit
+    return theta, covariance, used, sigma, stripe_sum, outer, outer_fit
+
+
+@float_kernel
+def _at_the_edge(
+    motion: Floats, covariance: Floats, edges: Floats, scale: Floats, quantum: float
+) -> tuple[float, float, Floats, Floats, Floats]:
+    """Say how far a motion moves the edge where it does most, px, its uncertainty, and what it is in nature.
+
+    That is as found, rounded to `quantum` at the edge, and its covariance, in the units of `PARAMETERS`.
+    """
+    worst, largest, variance = 0, -1.0, 0.0
+    for place in range(len(edges)):
+        off = 0.0
+        for k in range(4):
+            off += edges[place, k] * motion[k]
+        if abs(off) > largest:
+            worst, largest = place, abs(off)
+    natural, rounded, scaled = np.empty(4), np.empty(4), np.empty((4, 4))
+    for k in range(4):
+        natural[k] = motion[k] * scale[k]
+        rounded[k] = np.rint(motion[k] / quantum) * quantum * scale[k]
+        for j in range(4):
+            variance += edges[worst, k] * covariance[k, j] * edges[worst, j]
+            scaled[k, j] = covariance[k, j] * scale[k] * scale[j]
+    return largest, math.sqrt(max(variance, 0.0)), natural, rounded, scaled
 
 
 @float_kernel
@@ -462,197 +472,3 @@ def _solve(matrix: Floats, right: Floats, answer: Floats, before: Floats) -> Non
     before[:] = answer
     answer[:] = right
     solve(matrix.copy(), answer)
-
-
-_OFF_BELT_PX = 2.0
-"""Peaks farther from every rest line lie on a product."""
-_REACH_SHARE = 1.0
-"""Of the lines' distance: as far is a stripe looked for in the next row; farther away none is near."""
-_STEP_MAX_PX = 3.0
-"""Steps before and after the jump are those of a surface that this camera sees whole."""
-_STRIPES_MIN = 5
-_JUMP_MIN_PX = 0.4
-"""A median jump below it moves no volume by more than some tenths of a percent."""
-_ROUNDED_JUMP_MIN_PX = 2.5
-"""The same for peaks in whole pixels: rounding alone makes jumps of up to two."""
-_TIMES_USUAL = 8.0
-"""So many times the jumps of the frame's other rows, which noise and texture make. Of 56 whole images of two
-makers the largest jump is five times the mean."""
-_SAMPLED_ROWS = 8
-"""Every so many rows tell how much stripes usually jump; blocks of so many tell the belt's shift."""
-_BELT_PX = 1.0
-"""Peaks so near to a rest line tell where the belt lies."""
-_SHIFT_BLOCKS, _SHIFT_STRIPES, _SHIFT_FULL = 5, 3, 0.85
-"""Blocks above and below a row that are compared, on stripes that lie on the belt in such a part of both."""
-_SHIFT_MIN_PX = 0.08
-"""Lines lean by a hundredth: seven rows lost. Without a fault, textures shift it by up to 0.04 px."""
-
-
-class Tear(NamedTuple):
-    """A frame's tear: the row after which it lies, and the median jump there, px; or the belt's shift."""
-
-    row: int
-    jump_px: float
-    of_belt: bool = False
-
-
-def tear_of(row_start: Integers, x_px: Floats, lines_px: Floats, spacing_px: float) -> Tear | None:
-    """Give the tear of a frame; None of a whole one.
-
-    Parameters
-    ----------
-    row_start, x_px
-        Of the peaks.
-    lines_px
-        (row, stripe) rest lines, px.
-    spacing_px
-        Their smallest distance.
-    """
-    # to whole or half pixels, as by middles of runs
-    rounded = all(float(2.0 * x).is_integer() for x in x_px[:8]) and bool((2.0 * x_px % 1.0 == 0.0).all())
-    least_px = _ROUNDED_JUMP_MIN_PX if rounded else _JUMP_MIN_PX
-    row, jump_px, usual_px, shift_row, shift_px, usual_shift_px = _largest_jump(
-        row_start, x_px, lines_px, _REACH_SHARE * spacing_px, _OFF_BELT_PX, _BELT_PX, _STEP_MAX_PX,
-        _STRIPES_MIN, _SAMPLED_ROWS, _TIMES_USUAL, least_px,
-    )  # fmt: skip
-    if row >= 0 and jump_px >= max(least_px, _TIMES_USUAL * usual_px):
-        return Tear(row, jump_px)
-    if shift_row >= 0 and not rounded and shift_px >= max(_SHIFT_MIN_PX, _TIMES_USUAL * usual_shift_px):
-        return Tear(shift_row, shift_px, of_belt=True)
-    return None
-
-
-@float_kernel
-def _largest_jump(
-    row_start: Integers, x_px: Floats, lines_px: Floats, reach_px: float, off_belt_px: float,
-    belt_px: float, step_max_px: float, stripes_min: int, sampled: int, times_usual: float, least_px: float,
-) -> tuple[int, float, float, int, float, float]:  # fmt: skip
-    """Give the row, the median jump and the usual jump where product or belt jump most; row −1 of none.
-
-    And the same of where the belt is shifted most (`_shift`).
-    """
-    rows, stripes = lines_px.shape
-    lines, none, wide, one = lines_px.reshape(-1), np.uint64(x_px.size), np.uint64(stripes), np.uint64(1)
-    on_product = np.zeros(x_px.size + 1, np.bool_)  # places are unsigned: a signed one is asked for its sign
-    # of each peak: the nearest one in the next row, `none` where none is near; the peak whose nearest it is;
-    # the step to the next row, and what that is beside the rest line's
-    after, before = np.full(x_px.size + 1, none, np.uint32), np.full(x_px.size + 1, none, np.uint32)
-    step, slip = np.empty(x_px.size), np.empty(x_px.size)
-    blocks = rows // sampled
-    off_sum, near = np.zeros((blocks + 1, stripes)), np.zeros((blocks + 1, stripes))
-    for row in range(rows - 1):
-        block = min(row // sampled + 1, blocks)
-        line, last = np.uint64(row * stripes), np.uint64((row + 1) * stripes - 1)
-        nearest, stop = np.uint64(row_start[row + 1]), np.uint64(row_start[row + 2])
-        for p in range(np.uint64(row_start[row]), np.uint64(row_start[row + 1])):
-            x = x_px[p]
-            off = abs(x - lines[line])
-            while line < last:
-                to_next = abs(x - lines[line + one])
-                if not to_next < off:
-                    break
-                line, off = line + one, to_next
-            on_product[p] = off > off_belt_px
-            if off <= belt_px:
-                stripe = line - np.uint64(row * stripes)
-                off_sum[block, stripe] += x - lines[line]
-                near[block, stripe] += 1.0
-            if nearest == stop:
-                continue
-            way = x_px[nearest] - x
-            while nearest + one < stop:
-                farther = x_px[nearest + one] - x
-                if abs(farther) > abs(way):
-                    break
-                nearest, way = nearest + one, farther
-            step[p] = way
-            if abs(way) <= reach_px:
-                after[p], before[nearest] = nearest, p
-                slip[p] = way - (lines[line + wide] - lines[line])
-    room = np.uint64(2 * stripes + 64)
-    jumps, slips = np.empty(room), np.empty(room)
-    # of product and belt: rows that count, the sum of their jumps, the row that jumps most, and its jump
-    counted, total = np.zeros(2), np.zeros(2)
-    worst, most = np.full(2, -1), np.zeros(2)
-    for row in range(1, rows - 2):
-        count, slipped, large, large_slips = np.uint64(0), np.uint64(0), 0, 0
-        for p in range(np.uint64(row_start[row]), np.uint64(row_start[row + 1])):
-            if max(count, slipped) >= room:
-                break
-            third = np.uint64(after[p])
-            if third == none:
-                continue
-            if not on_product[p]:
-                slips[slipped] = slip[p]
-                large_slips += abs(slip[p]) >= least_px
-                slipped += one
-                continue
-            first = np.uint64(before[p])
-            if not (on_product[first] and on_product[third] and on_product[after[third]]):
-                continue  # `none` is on none
-            if abs(step[first]) <= step_max_px and abs(step[third]) <= step_max_px:
-                jump = abs(step[p] - 0.5 * (step[first] + step[third]))
-                jumps[count] = jump
-                large += jump >= least_px
-                count += one
-        for kind in range(2):
-            size, jumped = (count, large) if kind == 0 else (slipped, large_slips)
-            # among few belt peaks are those of a product's rim, which steps
-            if size < stripes_min or (kind == 1 and 4 * size < 3 * stripes):
-                continue
-            counts = row % sampled == 0  # a median takes long
-            if counts or 4 * jumped >= 3 * size:
-                middle = abs(median_of(jumps[:size] if kind == 0 else slips[:size]))
-                if counts:
-                    counted[kind] += 1.0
-                    total[kind] += middle
-                if middle > most[kind]:
-                    worst[kind], most[kind] = row, middle
-    usual = total / np.maximum(counted, 1.0)
-    kind = 0 if most[0] >= max(least_px, times_usual * usual[0]) else 1
-    return worst[kind], most[kind], usual[kind], *_shift(off_sum, near, sampled)
-
-
-@float_kernel
-def _shift(off_sum: Floats, near: Floats, sampled: int) -> tuple[int, float, float]:
-    """Give the row at which the belt is shifted most, how far, and how far it usually is; row −1 of none.
-
-    Parameters
-    ----------
-    off_sum, near : ndarray, shape (block + 1, stripe)
-        By blocks of `sampled` rows, from the second on: sum of the distances of belt peaks from their line,
-        px, and their number. Both are summed up in place.
-    """
-    blocks, stripes = near.shape
-    shift, shifts, middle = np.zeros(blocks), np.empty(stripes), np.empty(blocks)
-    known, full = 0, _SHIFT_FULL * _SHIFT_BLOCKS * sampled
-    for k in range(1, blocks):
-        for s in range(stripes):
-            off_sum[k, s] += off_sum[k - 1, s]
-            near[k, s] += near[k - 1, s]
-    for k in range(_SHIFT_BLOCKS, blocks - _SHIFT_BLOCKS):
-        count = 0
-        for s in range(stripes):
-            above = near[k, s] - near[k - _SHIFT_BLOCKS, s]
-            below = near[k + _SHIFT_BLOCKS, s] - near[k, s]
-            if above > full and below > full:
-                shifts[count] = (off_sum[k + _SHIFT_BLOCKS, s] - off_sum[k, s]) / below
-                shifts[count] -= (off_sum[k, s] - off_sum[k - _SHIFT_BLOCKS, s]) / above
-                count += 1
-        shift[k] = median_of(shifts[:count]) if count >= _SHIFT_STRIPES else np.inf
-        if count >= _SHIFT_STRIPES:
-            middle[known] = shift[k]
-            known += 1
-    if known < 2 * _SHIFT_BLOCKS:
-        return -1, 0.0, 0.0
-    turned = median_of(middle[:known])  # of a camera that has turned: the same everywhere
-    usual = median_of(np.abs(middle[:known] - turned))
-    worst, most = -1, 0.0
-    for k in range(_SHIFT_BLOCKS, blocks - _SHIFT_BLOCKS):
-        here = abs(shift[k] - turned)
-        if here < np.inf and here > most:
-            worst, most = k, here
-    for k in (worst - _SHIFT_BLOCKS, worst + _SHIFT_BLOCKS):  # a bend in the lines goes on
-        if _SHIFT_BLOCKS <= k < blocks - _SHIFT_BLOCKS and np.inf > abs(shift[k] - turned) > 0.5 * most:
-            return -1, 0.0, usual
-    return worst * sampled - 1, most, usual

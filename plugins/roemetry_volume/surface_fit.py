@@ -39,6 +39,9 @@ _FOLLOWED_MM = 0.003
 its part came out up to 12 % too small on thin skeins)."""
 _WALL_REACH_MM = 0.4  # two rows: a wall that shows by less is not told from its edge
 _FEW, _BELT_SHARE = 3, 0.5
+_ASTRAY_PX, _ASTRAY_SIGMAS = 1.5, 3.0
+"""A slice's end appears in the row it is seen in, to half a row, and lens and light move an edge by less than
+another pixel."""
 
 
 class Start(NamedTuple):
@@ -103,21 +106,53 @@ class Fused:
         return float((self.weight_mm2 * self.heights()).sum())
 
 
-def points_of(product: Product) -> StripePoints:
+def points_of(product: Product, view: View | None = None, outline: Outline | None = None) -> StripePoints:
     """Give the product's points, slice after slice, down the rows.
 
     What a coder has bridged beyond the outermost points it saw of a slice runs down to the belt beside the
-    product, and is no part of its surface: left out, as are slices of which nothing was seen.
+    product, and is no part of its surface: left out, as are slices of which nothing was seen. So is, with an
+    outline, what is seen beyond a gap at the end of a slice and appears outside of that: a speck.
     """
     profiles = product.profiles
     curves = body_curves(profiles, product.number)
     slices, index = curves.slice, curves.point
-    held = held_points(slices, profiles.seen[slices, index], profiles.xyz_mm[slices, index, 2])
+    seen, xyz = profiles.seen[slices, index], profiles.xyz_mm[slices, index]
+    if view is not None and outline is not None:
+        loose = np.flatnonzero(loose_ends(slices, seen))
+        if loose.size:
+            outside_px = -inside_by(outline.xy_px, view.project(xyz[loose]))
+            seen[loose[outside_px > _ASTRAY_PX + _ASTRAY_SIGMAS * outline.xy_std_px]] = False
+    held = held_points(slices, seen, xyz[:, 2])
     slices, index = slices[held], index[held]
     begins = np.ones(slices.size, np.bool_)
     begins[1:] = slices[1:] != slices[:-1]
     first = np.append(np.flatnonzero(begins), slices.size)
     return StripePoints(profiles.xyz_mm[slices, index], np.cumsum(begins) - 1, first)
+
+
+@kernel
+def loose_ends(slices: Integers, seen: Flags) -> Flags:
+    """Mark what is seen at the ends of slices, up to three points of each, before a gap; (n,) as below."""
+    loose = np.zeros(slices.size, np.bool_)
+    begin = 0
+    while begin < slices.size:
+        stop = begin
+        while stop < slices.size and slices[stop] == slices[begin]:
+            stop += 1
+        for first, end, step in ((begin, stop, 1), (stop - 1, begin - 1, -1)):
+            outermost, before, count = -1, -1, 0
+            for k in range(first, end, step):
+                if not seen[k]:
+                    continue
+                if before >= 0 and abs(k - before) > 1:
+                    loose[min(outermost, before) : max(outermost, before) + 1] = True
+                    break
+                outermost = k if outermost < 0 else outermost
+                before, count = k, count + 1
+                if count > _FEW:
+                    break
+        begin = stop
+    return loose & seen
 
 
 @kernel
@@ -179,7 +214,7 @@ def fuse(product: Product, view: View, outline: Outline, start: Start | None = N
         silhouette = sight_lines(view, outline)
     else:
         silhouette = view.rays(evenly(outline.xy_px, _POINTS))
-    points = points_of(product)
+    points = points_of(product, view, outline)
     xyz = points.xyz_mm
     if start is None:
         outermost = np.concatenate([points.first[:-1], points.first[1:] - 1])

@@ -220,9 +220,13 @@ _DEPTH_MAX = 40
 
 
 def _composer() -> Any:
-    """Give a composer that refuses what lets a small file have no end: aliases, and nesting without bound."""
+    """Give a composer that refuses what lets a small file have no end: aliases, and nesting without bound.
+
+    And maps and lists as keys, which Python's dict cannot have.
+    """
     from ruamel.yaml.composer import Composer, ComposerError
-    from ruamel.yaml.events import AliasEvent
+    from ruamel.yaml.events import AliasEvent, ScalarEvent
+    from ruamel.yaml.nodes import MappingNode
 
     class Bounded(Composer):
         depth = 0
@@ -232,6 +236,9 @@ def _composer() -> Any:
             if isinstance(event, AliasEvent):
                 why = f"`*{event.anchor}` is an alias, which is not read; write the value out, or in quotes"
                 raise ComposerError(None, None, why, event.start_mark)
+            is_key = isinstance(parent, MappingNode) and index is None
+            if is_key and not isinstance(event, ScalarEvent):
+                raise ComposerError(None, None, f"a map or a list is no key; {_QUOTED}", event.start_mark)
             if self.depth > _DEPTH_MAX:
                 why = f"more than {_DEPTH_MAX} maps and lists within one another"
                 raise ComposerError(None, None, why, event.start_mark)

@@ -9,7 +9,18 @@ import numpy as np
 import pytest
 
 from benchmarks.disturbances import DISTURBANCES, Scene
-from benchmarks.faults import Case, draw, harmless, measured, summary, verdicts
+from benchmarks.faults import (
+    Case,
+    against,
+    draw,
+    harmless,
+    judged,
+    measured,
+    recipe_of,
+    scenes_of,
+    summary,
+    verdicts,
+)
 from benchmarks.kills import killed
 from roemetry import Recipe
 
@@ -48,6 +59,60 @@ def test_a_lie_is_what_the_disturbance_is_to_blame_for(
 ) -> None:
     case = Case("r", "s", "noise", 1.0, verdict, error, 0.01, base_verdict=base, base_error=base_error)
     assert case.lies == lies
+
+
+@pytest.fixture(scope="module")
+def skeins() -> tuple[Recipe, list[Scene]]:
+    """Four skeins, two of them good and two with a dent, each with the one before."""
+    recipe = recipe_of(SKEINS, Path.cwd())
+    taken = list(scenes_of(recipe, 4))
+    return recipe, [scene._replace(other=taken[k - 1]) for k, scene in enumerate(taken)]
+
+
+def disturbed(skeins: tuple[Recipe, list[Scene]], name: str, size: float, seed: int = 0) -> list[Case]:
+    """Measure each skein disturbed, its undisturbed case beside it."""
+    recipe, scenes = skeins
+    return [
+        against(
+            judged(recipe, scene, *DISTURBANCES[name].make(scene, size, np.random.default_rng([seed, k]))),
+            judged(recipe, scene, scene.laser, scene.plain), SKEINS, name, size,
+        )
+        for k, scene in enumerate(scenes)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("plain image of another scale", 1.5),
+        ("plain image of another scale", 4.0),
+        ("plain image shifted", 3.0),
+        ("plain image shifted", 12.0),
+        ("plain image turned", 2.0),
+    ],
+)
+def test_a_plain_image_that_contradicts_the_stripes_is_laid_over_them_or_refused(
+    skeins: tuple[Recipe, list[Scene]], name: str, size: float
+) -> None:
+    for case in disturbed(skeins, name, size):
+        assert case.verdict in ("held", "refused"), case
+        assert case.verdict == "refused" or abs(case.error - case.base_error) < 0.005, case
+
+
+def test_the_plain_image_of_another_product_is_refused(skeins: tuple[Recipe, list[Scene]]) -> None:
+    for case in disturbed(skeins, "plain image of another product", 1.0):
+        assert (case.verdict, case.base_verdict) == ("refused", "held"), case
+
+
+@pytest.mark.parametrize(
+    ("name", "size"), [("gamma", float(np.log(2.0))), ("JPEG", 80.0), ("specks", 0.001), ("noise", 3.0)]
+)
+def test_a_degraded_image_holds_its_volume_and_turns_no_grade_into_another(
+    skeins: tuple[Recipe, list[Scene]], name: str, size: float
+) -> None:
+    for case in disturbed(skeins, name, size):
+        assert case.grade in (case.base_grade, "unknown"), case
+        assert case.verdict == "held", case
 
 
 def test_every_disturbance_gives_images_and_the_smallest_hardly_changes_them(

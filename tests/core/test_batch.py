@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import shutil
@@ -22,12 +23,14 @@ import pytest
 from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, OutputError
 from roemetry.io.files import exclusive
-from roemetry.records import AMBIGUOUS, Acquisition, Trace
+from roemetry.records import AMBIGUOUS, Acquisition, Estimate, Grade, Shares, Trace, Volume, Weight
 from roemetry.run.batch import derive, run_recipe
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.record import RECORD, read_record
 from roemetry_files.image_files import ImageFiles
 from roemetry_files.product_table import CsvTable
+from roemetry_paper.arc_curvature import ArcCurvature
+from roemetry_paper.density import Density
 from roemetry_paper.dominant_peak import DominantPeak
 from roemetry_paper.window_tracking import WindowTracking
 from roemetry_paper.zero_order_hold import ZeroOrderHold
@@ -178,6 +181,33 @@ def test_a_fault_in_a_plugin_is_a_row(
     if does is breaks:
         with pytest.raises(ZeroDivisionError):
             run_recipe(Recipe.load(tmp_path / "line"), tmp_path / "debug", debug=True)
+
+
+@pytest.mark.parametrize(
+    ("stage", "does", "kind", "made", "says"),
+    [
+        (ZeroOrderHold, "estimate", "volume", lambda: volume_of(-4321.0), "visible volume is -4321 mm³"),
+        (ZeroOrderHold, "estimate", "volume", lambda: volume_of(4321.0, math.inf), "value is inf"),
+        (ZeroOrderHold, "estimate", "volume", lambda: volume_of(math.nan), "volume is NaN, and no reason"),
+        (Density, "weigh", "weigher", lambda: Weight(Estimate(-7.0)), "mass is -7 g"),
+        (ArcCurvature, "classify", "classifier", lambda: Grade("good", 7.0), "probability is 7.0"),
+        (ArcCurvature, "classify", "classifier", lambda: Grade(""), "label is empty"),
+    ],
+)
+def test_a_value_that_cannot_be_is_its_plugins_fault_and_no_measurement(
+    line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    stage: type, does: str, kind: str, made: Callable[[], Any], says: str,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(stage, does, lambda *_, **__: made())
+    outcome = run_recipe(Recipe.load(line(1)), tmp_path / "out")
+    row = rows_of(tmp_path / "out")["p01"]
+    assert outcome.counts["measured"] == 0
+    assert says in row.absent[kind].text and "failed with RecordError" in row.absent[kind].text
+    assert {"volume": row.volume, "weigher": row.weight, "classifier": row.grade}[kind] is None
+
+
+def volume_of(visible_mm3: float, true_mm3: float = 1.0) -> Volume:
+    return Volume(Estimate(visible_mm3), Estimate(true_mm3), Shares(1.0, 0.0, 0.0))
 
 
 def test_a_stage_that_gives_nothing_is_no_empty_belt(measured, rig, monkeypatch) -> None:

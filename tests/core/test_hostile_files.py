@@ -51,6 +51,21 @@ def test_a_text_that_would_never_end_is_refused_at_once(text: str) -> None:
     assert time.perf_counter() - begun < 2.0
 
 
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("a:\n  - {seed: 29, !!python/object:os.system: {kinds: {bent: 1}}}", "f:2:"),
+        ("a: 1\n? ? ? b: c", "f:2:"),
+        ("{[1, 2]: 3}", "f:1:2"),
+        ("{{a: 1}: 3}", "f:1:2"),
+    ],
+)
+def test_a_map_or_a_list_as_a_key_is_refused_with_its_place(text: str, place: str) -> None:
+    with pytest.raises(RoemetryError, match="a map or a list is no key") as refused:
+        parse(text, "f")
+    assert str(refused.value).startswith(place)
+
+
 @given(data=st.data())
 @settings(max_examples=300)
 def test_a_recipe_with_any_bytes_changed_is_read_or_refused(data: st.DataObject, tmp_path_factory) -> None:

@@ -7,12 +7,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 
 import roemetry
 from roemetry.errors import StageError
 from roemetry.records.calibration import Alignment
 from roemetry.testing.scenes import LinearRig, moved_rig
-from roemetry_coding.belt_lines import BeltLines, tear_of
+from roemetry_coding.belt_lines import BeltLines
+from roemetry_coding.tears import tear_of
 
 HOME = Path(__file__).parents[3] / "recipes" / "herring_roe"
 NOTHING = np.zeros((4, 4))
@@ -119,8 +121,9 @@ def test_a_frame_that_begins_anew_on_the_belt_is_refused(rng: np.random.Generato
     x_px = rest + rng.normal(0.0, 0.05, rest.shape)
     torn = np.concatenate([x_px[:, :150], x_px[:, : rig.rows - 150]], axis=1)
     lines, start = np.ascontiguousarray(rest.T), rig.peaks(torn).peaks
-    assert tear_of(rig.peaks(x_px).peaks.row_start, rig.peaks(x_px).peaks.x_px, lines, 12.0) is None
-    found = tear_of(start.row_start, start.x_px, lines, 12.0)
+    whole = rig.peaks(x_px).peaks
+    assert tear_of(whole.row_start, whole.x_px, whole.amplitude, lines, 12.0) is None
+    found = tear_of(start.row_start, start.x_px, start.amplitude, lines, 12.0)
     assert found is not None and found.row == 149 and abs(found.jump_px - 1.5) < 0.1
 
 
@@ -134,12 +137,32 @@ def test_lines_that_lean_show_rows_that_were_lost_on_a_level_product(
     taken = row + np.where(row < 200, 0, lost_rows)
     x_px = rig.rest_px() + 0.0125 * taken + turned * row + rng.normal(0.0, 0.1, (rig.stripes, rig.rows))
     peaks = rig.peaks(x_px).peaks
-    found = tear_of(peaks.row_start, peaks.x_px, lines, 12.0)
+    found = tear_of(peaks.row_start, peaks.x_px, peaks.amplitude, lines, 12.0)
     if not lost_rows:
         assert found is None
     else:
         assert found is not None and found.of_belt
         assert abs(found.row - 199) < 16 and abs(found.jump_px - 0.15) < 0.05
+
+
+@pytest.mark.parametrize(("lost_rows", "torn"), [(5, True), (5, False), (0, False)])
+def test_a_small_shift_is_a_tear_where_the_grain_breaks_off_too(
+    lost_rows: int, torn: bool, rng: np.random.Generator
+) -> None:
+    """Five lost rows, or a belt that lies aside by as much below with a grain that goes on."""
+    rig = LinearRig(rows=480)
+    row = np.arange(rig.rows)
+    lines = np.ascontiguousarray((rig.rest_px() + 0.0125 * row).T)
+    grain = gaussian_filter1d(rng.normal(0.0, 1.0, (2, rig.stripes, rig.rows + lost_rows)), 0.9, axis=2)
+    taken = row + np.where(row < 200, 0, lost_rows)
+    moved, brighter = grain[:, :, taken if torn else row] / grain.std()
+    x_px = rig.rest_px() + 0.0125 * taken + 0.05 * moved
+    found = rig.peaks(x_px)
+    bright = 160.0 * np.exp(0.05 * brighter)[found.stripe, found.peaks.row]
+    tear = tear_of(found.peaks.row_start, found.peaks.x_px, bright, lines, 12.0)
+    assert (tear is not None) == torn
+    if tear is not None:
+        assert (tear.row, tear.of_belt) == (199, True) and tear.jump_px < 0.08
 
 
 def test_a_step_that_stripes_cross_one_after_another_and_whole_pixels_are_no_tear(

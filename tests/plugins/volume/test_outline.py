@@ -10,7 +10,7 @@ import pytest
 
 from roemetry.errors import StageError
 from roemetry.records import Frame, Reason, StripeMap
-from roemetry_volume import edge_contour
+from roemetry_volume import edge_contour, edge_search
 from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions
 from roemetry_volume.edge_search import closed_path
 from roemetry_volume.outline_features import features_of
@@ -77,6 +77,25 @@ def test_a_shaded_body_is_found_to_a_part_of_a_pixel(rng: np.random.Generator, s
     assert np.abs(off).max() < 1.5
     assert off.std() < 0.5
     assert found.features["area_px2"] == pytest.approx(np.pi * 120.0 * 45.0, rel=0.015)
+
+
+@pytest.mark.parametrize("blur_px", [0.9, 1.1])
+def test_an_image_out_of_focus_tells_its_blur_and_the_outline_stays(
+    rng: np.random.Generator, blur_px: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A level body beside a shadow; with the blur of a sharp lens its edge is found much farther outside."""
+    row, column = np.mgrid[0:ROWS:0.25, 0:COLUMNS:0.25] - 0.375
+    off = distance(np.stack([column, row], axis=-1))
+    belt = 70.0 * (1.0 - 0.35 * np.exp(-np.clip(off, 0.0, None) / 12.0))
+    sharp = cv2.resize(np.where(off <= 0.0, 110.0, belt), (COLUMNS, ROWS), interpolation=cv2.INTER_AREA)
+    blurred = cv2.GaussianBlur(sharp, (0, 0), blur_px) + rng.normal(0.0, 0.5, sharp.shape)
+    image = Frame(np.clip(np.rint(blurred), 0, 255).astype(np.uint8), role="plain")
+    (found,) = EdgeContour().outline(LASER, image, stripes_on(), None)
+    monkeypatch.setattr(edge_search, "_BLURS", ())
+    (as_sharp,) = EdgeContour().outline(LASER, image, stripes_on(), None)
+    off_px, as_sharp_px = (float(distance(one.xy_px).mean()) for one in (found, as_sharp))
+    assert abs(off_px) < 3.0 * found.xy_std_px, (off_px, found.xy_std_px)
+    assert abs(off_px) < 0.6 * abs(as_sharp_px), (off_px, as_sharp_px)
 
 
 def test_its_uncertainty_comes_from_the_image(rng: np.random.Generator) -> None:

@@ -364,6 +364,16 @@ def test_belt_peaks_behind_unseen_rows_do_not_pull_the_rim_down(beyond: int) -> 
     assert points_of(as_high).xyz_mm.shape[0] > points_of(made).xyz_mm.shape[0]
 
 
+def test_a_speck_behind_unseen_rows_outside_the_outline_is_no_surface() -> None:
+    made, true_mm3 = dome(wall=8.0)
+    spoilt = with_belt_peaks(made, 1, z_mm=7.0)
+    held = points_of(spoilt, spoilt.view, spoilt.outline).xyz_mm
+    np.testing.assert_array_equal(held, points_of(made).xyz_mm)
+    assert fuse(spoilt, spoilt.view, spoilt.outline).volume_mm3 == pytest.approx(true_mm3, rel=0.01)
+    wide = replace(spoilt.outline, xy_std_px=5.0)
+    assert len(points_of(spoilt, spoilt.view, wide).xyz_mm) > len(held), "an outline that may lie farther out"
+
+
 def with_belt_peaks(made: Product, count: int, z_mm: float = 1.5) -> Product:
     """Add seen points at a height behind three unseen ones, at the last row's end of the last slice."""
     profiles = made.profiles
