@@ -433,9 +433,11 @@ def _along(values: Floats, up: Integers, down: Integers) -> Floats:
     for p in range(values.shape[0]):
         above, below, rows = up[p], down[p], 1
         while above >= 0 and below >= 0 and rows <= 2 * _CORE_ROWS:
-            mean[p] += values[above] + values[below]
+            for k in range(values.shape[1]):  # as sums of whole rows each would be an array of its own
+                mean[p, k] += values[above, k] + values[below, k]
             above, below, rows = up[above], down[below], rows + 2
-        mean[p] /= rows
+        for k in range(values.shape[1]):
+            mean[p, k] /= rows
     return mean
 
 
