@@ -267,27 +267,22 @@ def _open_ends(knots: Knots, contour: Floats, outward_s: Floats) -> Any:
     slice, and, beyond the next one, what faces along the product: a slice at a slant runs over the edge.
     """
     is_open = np.zeros(contour.shape[0], np.bool_)
-    slices = np.unique(knots.slice)
-    if slices.size < 4:
-        return is_open
     along = LONG_AXIS * contour[:, 0]
-    for outer, inner in ((slices[0], slices[1]), (slices[-1], slices[-2])):
+    for end in (0, 1):
+        kind, outer, inner = end_kind(knots.s, knots.v, knots.u, knots.weight, knots.slice, end)
+        if kind == _FALLS:  # nearly always
+            continue
         mine, next_one = knots.slice == outer, np.flatnonzero(knots.slice == inner)
         next_one = next_one[np.argsort(knots.v[next_one])]
         v, s, weight = knots.v[mine], knots.s[mine], knots.weight[mine]
         out = np.sign(s.mean() - knots.s[next_one].mean())
         past = (along - np.interp(contour[:, 1], knots.v[next_one], knots.s[next_one])) * out
-        if float(knots.u[mine].max()) > _UPRIGHT * float(knots.u[next_one].max()) > _OVER_RIM:
+        if kind == _UPRIGHT_END:
             is_open |= (outward_s * out > _FACING) & (past > 0.0)
             continue
         beside = (v >= knots.v[next_one[0]]) & (v <= knots.v[next_one[-1]])
-        across = float(np.ptp(knots.v[next_one]))
-        if not beside.any() or float(np.ptp(knots.s[next_one])) > LONG_AXIS * across:
-            continue
         level = float(np.average(knots.u[mine], weights=weight))
-        before, inner_s = (np.interp(v[beside], knots.v[next_one], x[next_one]) for x in (knots.u, knots.s))
-        if level <= _OVER_RIM or float(knots.u[mine][beside].mean()) <= _OPEN_RATIO * float(before.mean()):
-            continue
+        inner_s = np.interp(v[beside], knots.v[next_one], knots.s[next_one])
         step = float((s[beside] - inner_s).mean())
         # the outline beyond the outer slice, which may cross the product at a slant
         lean = np.polyfit(v, s, 1) if np.ptp(v) > 1.0 else np.array([0.0, s.mean()])
@@ -301,6 +296,48 @@ def _open_ends(knots: Knots, contour: Floats, outward_s: Floats) -> Any:
         if misses[0] < -_OPEN_MISS * level and abs(misses[1]) < 0.5 * abs(misses[0]):
             is_open |= beyond
     return is_open
+
+
+_FALLS, _UPRIGHT_END, _IN_DOUBT = range(3)
+
+
+@kernel
+def end_kind(
+    s: Floats, v: Floats, u: Floats, weight: Floats, slices: Integers, end: int
+) -> tuple[int, int, int]:
+    """Say whether a product falls to an end, and which slices are the outer and the next one there.
+
+    Of fields of `Knots`, slice after slice. With fewer than four slices it falls.
+    """
+    first, count = np.empty(s.size + 1, np.int64), 0
+    for k in range(s.size):
+        if k == 0 or slices[k] != slices[k - 1]:
+            first[count] = k
+            count += 1
+    first[count] = s.size
+    if count < 4:
+        return _FALLS, -1, -1
+    one, other = (0, 1) if end == 0 else (count - 1, count - 2)
+    mine, beyond = slice(first[one], first[one + 1]), slice(first[other], first[other + 1])
+    outer, inner = slices[first[one]], slices[first[other]]
+    if u[mine].max() > _UPRIGHT * u[beyond].max() > _OVER_RIM:
+        return _UPRIGHT_END, outer, inner
+    order = np.argsort(v[beyond])
+    at_v, at_s, at_u = v[beyond][order], s[beyond][order], u[beyond][order]
+    level, whole, high, below, beside = 0.0, 0.0, 0.0, 0.0, 0
+    for k in range(first[one], first[one + 1]):
+        level += weight[k] * u[k]
+        whole += weight[k]
+        if at_v[0] <= v[k] <= at_v[-1]:
+            j = min(max(np.searchsorted(at_v, v[k], side="right"), 1), at_v.size - 1)
+            wide = at_v[j] - at_v[j - 1] if at_v.size > 1 else 0.0
+            share = (v[k] - at_v[j - 1]) / wide if wide > 0.0 else 0.0
+            below += at_u[j - 1] + share * (at_u[j] - at_u[j - 1])
+            high += u[k]
+            beside += 1
+    slants = at_s.max() - at_s.min() > LONG_AXIS * (at_v[-1] - at_v[0])
+    falls = level / whole <= _OVER_RIM or high <= _OPEN_RATIO * below
+    return (_FALLS if beside == 0 or slants or falls else _IN_DOUBT), outer, inner
 
 
 def _plate(knots: Knots, contour: Floats, open_end: Any) -> Plate:
