@@ -622,7 +622,7 @@ def smoothed_around(values: Floats, weights: Floats) -> Floats:
     return out
 
 
-@kernel
+@float_kernel
 def closed_path(cost: Floats, bend: float, most: int) -> Integers:
     """Find the path of least cost once around.
 
@@ -644,15 +644,15 @@ def closed_path(cost: Floats, bend: float, most: int) -> Integers:
     n, m = cost.shape
     # beyond either end stands what no path takes, so that all places are treated alike, by vectors
     before, best = np.full(m + 2 * most, np.inf), np.empty(m)
-    step = np.empty(m, np.int8)
+    step = np.empty(m, np.int64)  # as wide as costs are, or they are not taken several at once
     came = np.zeros((2 * n, m), np.int8)
     before[most : most + m] = cost[0]
     for k in range(1, 2 * n):
         best[:] = np.inf
         for d in range(2 * most + 1):
-            dear = bend * (d - most) ** 2
+            dear, ahead = bend * (d - most) ** 2, before[d : d + m]
             for j in range(m):
-                way = before[j + d] + dear
+                way = ahead[j] + dear
                 less = way < best[j]
                 best[j] = way if less else best[j]
                 step[j] = d if less else step[j]
