@@ -14,8 +14,17 @@ from roemetry.records.view import View
 from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.robust_fit import solve
 from roemetry_kernels.slices import body_curves
-from roemetry_volume.footprint import Border, area_of, border_at, evenly, inside_by, nodes_within
-from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_at, rim_of
+from roemetry_volume.footprint import (
+    Border,
+    area_of,
+    border_at,
+    evenly,
+    inside_by,
+    nodes_within,
+    placed_border,
+)
+from roemetry_volume.rim import Rim, StripePoints, ends_of, fitted_rim, rim_at
+from roemetry_volume.spline import Grid, add_points, bending, values_at
 
 LONG_AXIS = 0.4
 _POINTS = 400
@@ -198,16 +207,16 @@ def fuse(product: Product, view: View, outline: Outline, start: Start | None = N
     settled_mm = _SETTLED_MM if start is None else _FOLLOWED_MM
     for _ in range(_ROUNDS if start is None else _ROUNDS_ON):
         contour = (border.xy_mm - centre) @ turn
-        coarse = contour[::2].copy()
-        rim = rim_of(points, ends, place, inside_by(coarse, place[ends[0]]))
-        knots = _knots(points, place, rim, coarse)
+        found = under_dome(points.xyz_mm, points.slice, place, *ends, contour)
+        rim, knots = Rim(*found[:4]), Knots(*found[4:])
         if start is None:
             open_end = _open_ends(knots, contour, (border.outward @ turn)[:, 0])
         plate = _plate(knots, contour, open_end)
-        height, fall = _at_border(plate, rim, contour, border, (centre, turn), open_end, wall_shows)
-        moved = border_at(silhouette, height, fall)
-        step = np.abs(moved.xy_mm - border.xy_mm).max()
-        border = moved
+        height, fall, step, *placed = border_beside(
+            plate.coefficients, plate.grid, rim.coefficients, rim.scale_mm, rim.upright, contour, turn,
+            open_end, wall_shows, *silhouette, border.xy_mm, border.outward, border.tilt,
+        )  # fmt: skip
+        border = Border(*placed)
         if step < settled_mm:
             break
     contour = (border.xy_mm - centre) @ turn
@@ -225,10 +234,18 @@ def axes_of(xy: Floats) -> tuple[Floats, Floats]:
     return centre, np.column_stack([long, [-long[1], long[0]]])
 
 
-def _knots(points: StripePoints, place: Floats, rim: Rim, contour: Floats) -> Knots:
-    return Knots(
-        *dome_knots(points.xyz_mm, place, points.slice, rim.coefficients, rim.scale_mm, rim.upright, contour)
+@float_kernel
+def under_dome(
+    xyz_mm: Floats, slices: Integers, place: Floats, index: Integers, first: Integers, size: Integers,
+    contour: Floats,
+) -> tuple[Any, ...]:  # fmt: skip
+    """Give the fields of `Rim`, then those of `Knots`, of a product's points and ends within a contour."""
+    coarse = contour[::2].copy()
+    fit, scale, std, upright = fitted_rim(
+        xyz_mm[index, 2], place, index, first, size, inside_by(coarse, place[index])
     )
+    s, v, u, weight, of = dome_knots(xyz_mm, place, slices, fit, scale, upright, coarse)
+    return fit, scale, std, upright, s, v, u, weight, of
 
 
 @float_kernel
@@ -345,21 +362,25 @@ def _plate(knots: Knots, contour: Floats, open_end: Any) -> Plate:
     return plate_through(knots, LONG_AXIS * rim[:, 0], rim[:, 1], np.full(rim.shape[0], _RIM_WEIGHT))
 
 
-def _at_border(
-    plate: Plate,
-    rim: Rim,
-    contour: Floats,
-    border: Border,
-    frame: tuple[Floats, Floats],
-    open_end: Any,
-    wall_shows: bool,
-) -> tuple[Floats, Floats]:
-    """Height of the edge that made the outline, and how the dome falls to it (α, mm), along the border."""
+@float_kernel
+def border_beside(
+    coefficients: Floats, grid: Grid, rim: Floats, scale_mm: tuple[float, float], upright: bool,
+    contour: Floats, turn: Floats, open_end: Flags, wall_shows: bool, start: Floats, way: Floats,
+    xy_mm: Floats, outward: Floats, tilt: Floats,
+) -> tuple[Floats, Floats, float, Floats, Floats, Floats]:  # fmt: skip
+    """Give heights and falls along the border, how far it moves by them, mm, and the fields of its `Border`.
+
+    `start` and `way` are the silhouette's lines of sight; `xy_mm`, `outward` and `tilt` the border before.
+    """
+    across = np.empty_like(outward)
+    for k in range(tilt.size):
+        for n in range(2):
+            across[k, n] = outward[k, 0] * turn[0, n] + outward[k, 1] * turn[1, n]
     height, fall = edge_heights(
-        *(plate.coefficients, plate.grid, rim.coefficients, rim.scale_mm, rim.upright),
-        *(contour, border.outward @ frame[1], border.tilt, open_end, wall_shows),
+        coefficients, grid, rim, scale_mm, upright, contour, across, tilt, open_end, wall_shows
     )
-    return height, fall
+    xy, normal, lean = placed_border(start, way, height, fall)
+    return height, fall, np.abs(xy - xy_mm).max(), xy, normal, lean
 
 
 @float_kernel
@@ -375,7 +396,10 @@ def edge_heights(
     open_end: Flags,
     wall_shows: bool,
 ) -> tuple[Floats, Floats]:
-    """Give (n,) what `_at_border` says, of a contour and its normals (n, 2) along and across the product."""
+    """Give (n,) height of the edge that made the outline, and how the dome falls to it (α, mm).
+
+    Of a contour and its normals (n, 2), along and across the product.
+    """
     n = tilt.size
     height, fall = rim_at(rim, scale_mm, contour[:, 0], contour[:, 1]), np.zeros(n)
     inner_s = LONG_AXIS * (contour[:, 0] - _PROBE_MM * outward[:, 0])
@@ -464,7 +488,7 @@ class Plate:
     """A fitted plate."""
 
     grid: Any
-    """Of the spline, see `roemetry_volume.surface_fit.Grid`."""
+    """Of the spline, see `roemetry_volume.spline.Grid`."""
     course: Floats
     coefficients: Floats
     """course, coefficients: of the quadric through all points, and of the whole, as the spline's."""
@@ -577,124 +601,3 @@ def without_slice(plate: Plate, knots: Knots, slice_: int) -> Floats:
     off = knots.u[mine] - values_at(plate.course, plate.grid, s, v)
     add_points(band, right, plate.grid, s, v, off, -knots.weight[mine])
     return plate.course + _solved(_factor(band), right)
-
-
-Grid = tuple[float, float, float, int, int]
-"""Place of the first cell's corner along s and v, the cells' side, cells along s and along v."""
-
-
-@kernel
-def bending(grid: Grid, weight: float, ridge: float) -> Floats:
-    """Give the thin plate's bending energy, ∫ f_ss² + 2 f_sv² + f_vv², of the spline's coefficients.
-
-    Parameters
-    ----------
-    grid
-        See `Grid`; a spline on it has (cells + 3) coefficients each way, those along v running fastest.
-    weight
-        What the energy is multiplied with.
-    ridge
-        Added to the diagonal, which keeps the system solvable where no point is near.
-
-    Returns
-    -------
-    ndarray, shape (bandwidth + 1, coefficients)
-        Lower band of the matrix as `scipy.linalg.cholesky_banded` takes it.
-    """
-    _, _, side, cells_s, cells_v = grid
-    high = cells_v + 3
-    band = np.zeros((3 * high + 4, (cells_s + 3) * high))
-    band[0, :] = ridge
-    flat, slope, bend = _unit_grams()
-    for a in range(4):
-        for b in range(4):
-            for c in range(4):
-                for d in range(4):
-                    # a, c along s; b, d along v; lengths: two derivatives each way and one area
-                    part = bend[a, c] * flat[b, d] + 2.0 * slope[a, c] * slope[b, d]
-                    part = weight * (part + flat[a, c] * bend[b, d]) / (side * side)
-                    for i in range(cells_s):
-                        for j in range(cells_v):
-                            one = (i + a) * high + j + b
-                            other = (i + c) * high + j + d
-                            if one >= other:
-                                band[one - other, other] += part
-    return band
-
-
-@kernel
-def _unit_grams() -> tuple[Floats, Floats, Floats]:
-    """Integrals over one unit cell of products of the four cubics, of their slopes and of their bends."""
-    flat, slope, bend = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
-    nodes = (0.069431844202973712, 0.330009478207571868, 0.669990521792428132, 0.930568155797026287)
-    weights = (0.173927422568726929, 0.326072577431273071, 0.326072577431273071, 0.173927422568726929)
-    for k in range(4):
-        x = nodes[k]
-        f = _cubics(x)
-        g = (-0.5 * (1.0 - x) ** 2, 1.5 * x * x - 2.0 * x, -1.5 * x * x + x + 0.5, 0.5 * x * x)
-        h = (1.0 - x, 3.0 * x - 2.0, 1.0 - 3.0 * x, x)
-        for a in range(4):
-            for b in range(4):
-                flat[a, b] += weights[k] * f[a] * f[b]
-                slope[a, b] += weights[k] * g[a] * g[b]
-                bend[a, b] += weights[k] * h[a] * h[b]
-    return flat, slope, bend
-
-
-@kernel
-def _cubics(x: float) -> tuple[float, float, float, float]:
-    """Give the four uniform cubic B-splines at a place 0…1 of a cell."""
-    rest = 1.0 - x
-    return (
-        rest**3 / 6.0,
-        (3.0 * x**3 - 6.0 * x * x + 4.0) / 6.0,
-        (3.0 * rest**3 - 6.0 * rest * rest + 4.0) / 6.0,
-        x**3 / 6.0,
-    )
-
-
-@kernel
-def _cell(at: float, start: float, side: float, cells: int) -> tuple[int, float]:
-    place = (at - start) / side
-    cell = min(max(int(np.floor(place)), 0), cells - 1)
-    return cell, min(max(place - cell, 0.0), 1.0)
-
-
-@kernel
-def add_points(
-    band: Floats, right: Floats, grid: Grid, s: Floats, v: Floats, values: Floats, weights: Floats
-) -> None:
-    """Add weighted points to the normal equations."""
-    high = grid[4] + 3
-    number, part = np.empty(16, np.int64), np.empty(16)
-    for a in range(4):
-        for b in range(4):
-            number[4 * a + b] = a * high + b
-    for k in range(s.size):
-        i, x = _cell(s[k], grid[0], grid[2], grid[3])
-        j, y = _cell(v[k], grid[1], grid[2], grid[4])
-        f, g = _cubics(x), _cubics(y)
-        first = i * high + j
-        for a in range(4):
-            for b in range(4):
-                part[4 * a + b] = f[a] * g[b]
-        for a in range(16):
-            weighed = weights[k] * part[a]
-            right[first + number[a]] += weighed * values[k]
-            for b in range(a + 1):
-                band[number[a] - number[b], first + number[b]] += weighed * part[b]
-
-
-@kernel
-def values_at(coefficients: Floats, grid: Grid, s: Floats, v: Floats) -> Floats:
-    """Evaluate the surface at places (n,)."""
-    out = np.zeros(s.size)
-    high = grid[4] + 3
-    for k in range(s.size):
-        i, x = _cell(s[k], grid[0], grid[2], grid[3])
-        j, y = _cell(v[k], grid[1], grid[2], grid[4])
-        f, g = _cubics(x), _cubics(y)
-        for a in range(4):
-            for b in range(4):
-                out[k] += f[a] * g[b] * coefficients[(i + a) * high + j + b]
-    return out
