@@ -126,7 +126,7 @@ class _Surface(NamedTuple):
     features: dict[str, float]
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=8)
 def _surface_of(profiles: Profiles, number: int, smoothing_mm: float) -> _Surface:
     """Measure the surface of one product; where its outline alone has moved, it is not measured again."""
     cuts = cut_of(profiles, number, smoothing_mm)

@@ -47,8 +47,9 @@ from roemetry.records import Frame, Outline, Reason, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Outliner, StageOptions
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.image_levels import median_of
+from roemetry_kernels.robust_fit import solve
 from roemetry_volume.contour_edge import Scene, edge_around, redrawn, unbound
 from roemetry_volume.footprint import area_of, inside_by
 from roemetry_volume.image_motion import laid_over, logarithm
@@ -420,33 +421,50 @@ def _own_belt(bright: NDArray[np.float32], product: Flags) -> NDArray[np.float32
     """Fit the belt's brightness where it is not product, by least squares that drop what is far off."""
     rows, columns = bright.shape
     apart = max(_GRID_PX, round(math.sqrt(bright.size / _GRID_POINTS)))
-    grid = slice(None, None, apart), slice(None, None, apart)
-    y, x = np.mgrid[0:rows:apart, 0:columns:apart]
-    a, b = x.ravel() / columns - 0.5, y.ravel() / rows - 0.5
-
-    def design(u: Floats, v: Floats) -> Floats:
-        return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
-
-    terms, seen = design(a, b), bright[grid].ravel().astype(np.float64)
-    use = ~product[grid].ravel()
-    if use.sum() < terms.shape[1]:
-        use[:] = True
-    for _ in range(_ROUNDS):
-        belt = terms[use]
-        # of six terms within ±1 the normal equations lose nothing, and cost a tenth; the ridge is for slivers
-        normal = belt.T @ belt + _RIDGE * len(belt) * np.eye(belt.shape[1])
-        found = np.linalg.solve(normal, belt.T @ seen[use])
-        off = seen - terms @ found
-        off -= median_of(off[use])
-        away = np.abs(off)
-        again = use & (away < max(3.0 * 1.4826 * median_of(away[use]), 0.02))
-        if again.sum() < 4 * terms.shape[1] or (again == use).all():
-            break
-        use = again
+    c = belt_fit(_belt_terms(rows, columns, apart), bright[::apart, ::apart], product[::apart, ::apart])
     v, u = np.arange(rows) / rows - 0.5, np.arange(columns) / columns - 0.5
-    c = found
     along = np.stack([c[0] + v * (c[2] + c[5] * v), c[1] + c[4] * v, np.full(rows, c[3])], axis=1)
     return along.astype(np.float32) @ np.stack([np.ones(columns), u, u * u]).astype(np.float32)
+
+
+@lru_cache(maxsize=4)
+def _belt_terms(rows: int, columns: int, apart: int) -> Floats:
+    """Give (6, place) the terms of the belt's polynomial on a grid."""
+    y, x = np.mgrid[0:rows:apart, 0:columns:apart]
+    u, v = x.ravel() / columns - 0.5, y.ravel() / rows - 0.5
+    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v])
+
+
+@float_kernel
+def belt_fit(terms: Floats, bright: NDArray[np.float32], product: Flags) -> Floats:
+    """Fit the terms to (row, column) light where it is not product, without what is far off."""
+    count, seen, off = terms.shape[0], bright.copy().ravel(), np.empty(bright.size)
+    use, found = ~product.copy().ravel(), np.zeros(count)
+    if use.sum() < count:
+        use[:] = True
+    for _ in range(_ROUNDS):
+        # of six terms within ±1 the normal equations lose nothing; the ridge is for slivers
+        normal = _RIDGE * use.sum() * np.eye(count)
+        found[:] = 0.0
+        for a in range(count):
+            for k in range(seen.size):
+                if use[k]:
+                    found[a] += terms[a, k] * seen[k]
+            for b in range(a + 1):
+                for k in range(seen.size):
+                    if use[k]:
+                        normal[a, b] += terms[a, k] * terms[b, k]
+        solve(normal, found)
+        for k in range(seen.size):
+            off[k] = seen[k]
+            for a in range(count):
+                off[k] -= terms[a, k] * found[a]
+        away = np.abs(off - median_of(off[use]))
+        again = use & (away < max(3.0 * 1.4826 * median_of(away[use]), 0.02))
+        if again.sum() < 4 * count or (again == use).all():
+            break
+        use = again
+    return found
 
 
 def _contrast(plane: NDArray[np.float32], product: Flags) -> float:

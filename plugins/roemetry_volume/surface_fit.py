@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roemetry.records import Outline, Product, sight_lines
+from roemetry.records import Outline, Product, Profiles
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.view import View
 from roemetry_kernels.compiling import float_kernel, kernel
+from roemetry_kernels.lens import sight_lines
 from roemetry_kernels.robust_fit import solve
 from roemetry_kernels.slices import body_curves
 from roemetry_volume.footprint import (
@@ -118,8 +119,13 @@ def points_of(product: Product) -> StripePoints:
     What a coder has bridged beyond the outermost points it saw of a slice runs down to the belt beside the
     product, and is no part of its surface: left out, as are slices of which nothing was seen.
     """
-    profiles = product.profiles
-    curves = body_curves(profiles, product.number)
+    return _points_of(product.profiles, product.number)
+
+
+@lru_cache(maxsize=8)
+def _points_of(profiles: Profiles, number: int) -> StripePoints:
+    """Give them of a product's slices; where its outline alone has moved they are the same."""
+    curves = body_curves(profiles, number)
     slices, index = curves.slice, curves.point
     held = held_points(slices, profiles.seen[slices, index], profiles.xyz_mm[slices, index, 2])
     slices, index = slices[held], index[held]

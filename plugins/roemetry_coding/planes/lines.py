@@ -36,7 +36,7 @@ from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
 from roemetry_kernels.compiling import float_kernel, kernel
-from roemetry_kernels.lens import lens_from, undistorted_place
+from roemetry_kernels.lens import camera_of, rays_through
 
 _LINES_MAX_FACTOR = 4
 """More lines than so many times the rows: the base points nearly along the view; rows are taken instead."""
@@ -51,10 +51,6 @@ _END_PX = (1.5, 0.25)
 over six rows is known to about 0.25 px a row."""
 _SLOPE_LINES = 6
 """Lines that an end's slope is taken over."""
-
-
-_LENS_END = 3e-8
-"""Over the focal length: Newton's next step would be some 1e-15."""
 
 
 class EpipolarLines(NamedTuple):
@@ -211,7 +207,7 @@ class _Sight(NamedTuple):
     side: Floats
     """base, forward, side: to the projector; square to it where the camera looks; and square to both."""
     camera: Floats
-    """(12,) fx, fy, cx, cy and the lens's eight coefficients; empty where it has more."""
+    """(12,) see `roemetry_kernels.lens.camera_of`."""
 
     def placed(self, xy_px: Floats) -> tuple[Floats, Floats, Floats]:
         """Give (point,) the angle about the base at which a pixel looks, rad, and a cotangent along it.
@@ -232,19 +228,14 @@ def placed_by_camera(
     xy_px: Floats, camera: Floats, pose: Floats, base: Floats, forward: Floats, side: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Give what `_Sight.placed` does; `camera` as there, `pose` as `View.T_belt_camera`."""
-    count, lens = xy_px.shape[0], lens_from(camera, 4)
-    angle, u, ways = np.empty(count), np.empty(count), np.empty((count, 3))
-    for k in range(count):
-        bent_x, bent_y = (xy_px[k, 0] - camera[2]) / camera[0], (xy_px[k, 1] - camera[3]) / camera[1]
-        x, y, xx, xy, yy, good = undistorted_place(bent_x, bent_y, bent_x, bent_y, lens, _LENS_END)
-        if not (good and xx * yy - xy * xy > 0.0 and xx + yy > 0.0):
-            x, y = np.nan, np.nan
-        length = math.sqrt(x * x + y * y + 1.0)
+    ways = rays_through(xy_px, camera, pose)[1]
+    angle, u = np.empty(ways.shape[0]), np.empty(ways.shape[0])
+    for k in range(u.size):
         along, ahead, beside = 0.0, 0.0, 0.0
         for n in range(3):
-            way = (pose[n, 0] * x + pose[n, 1] * y + pose[n, 2]) / length
-            ways[k, n] = way
-            along, ahead, beside = along + way * base[n], ahead + way * forward[n], beside + way * side[n]
+            along += ways[k, n] * base[n]
+            ahead += ways[k, n] * forward[n]
+            beside += ways[k, n] * side[n]
         angle[k], u[k] = math.atan2(beside, ahead), along / math.sqrt(ahead * ahead + beside * beside)
     return angle, u, ways
 
@@ -261,11 +252,7 @@ def _sight_of(view: View) -> _Sight | None:
     if np.linalg.norm(forward) < _PARALLEL:
         return None
     forward = np.asarray(forward / np.linalg.norm(forward))
-    matrix, lens = view.camera_matrix, view.distortion
-    camera = np.array(
-        [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *lens, *[0.0] * (8 - lens.size)]
-    )
-    return _Sight(view, base, forward, np.cross(base, forward), camera if lens.size <= 8 else np.empty(0))
+    return _Sight(view, base, forward, np.cross(base, forward), camera_of(view))
 
 
 class _Fan(NamedTuple):
