@@ -375,7 +375,7 @@ _LEANS = np.stack([_lean_weights(part) for part in (_INNER, _SHOULDER)])
 @float_kernel
 def _end_to_end(values: Floats) -> float:
     seventh = STATIONS // 7
-    return abs(values[:seventh].mean() - values[-seventh:].mean())
+    return float(abs(values[:seventh].mean() - values[-seventh:].mean()))
 
 
 def _hollows(sections: Sections) -> dict[str, float]:

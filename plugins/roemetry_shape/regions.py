@@ -110,7 +110,7 @@ def dome_over(along_mm: Floats, height_mm: Floats) -> Floats:
                     rows[3 * a + b, k * fitted + j] = of_s[a, k] * _OF_T[b, _FITTED[j]]
     ridge = np.full(12, _RIDGE)
     fit = robust_fit(rows, wanted, np.ones(wanted.size), ridge, _SPREAD_LEAST_MM2, _ROUNDS)[0]
-    dome = np.zeros(height_mm.shape)
+    dome = np.zeros_like(height_mm)
     for k in range(sections):
         for b in range(3):
             term = 0.0

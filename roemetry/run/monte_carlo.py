@@ -470,7 +470,7 @@ def shifted(stripes: StripeMap, noise_px: tuple[Floats, ...], sign: float = 1.0)
 def _bridges(stripes: StripeMap) -> tuple[Integers, Integers, Integers, Integers, Floats]:
     """Give bridged points: stripe, row, the seen rows before and after, how far between them it lies."""
     seen, rows = stripes.seen, np.arange(stripes.rows)
-    stripe, gap = np.nonzero(~seen & np.isfinite(stripes.x_px) & seen.any(axis=1)[:, None])
+    stripe, gap = np.nonzero(~seen & np.isfinite(stripes.x_px) & seen.any(axis=1, keepdims=True))
     last = np.maximum.accumulate(np.where(seen, rows, -1), axis=1)[stripe, gap]
     next_ = np.minimum.accumulate(np.where(seen, rows, stripes.rows)[:, ::-1], axis=1)[:, ::-1][stripe, gap]
     # beyond the outermost seen row both are that

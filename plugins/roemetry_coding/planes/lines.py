@@ -215,7 +215,7 @@ class _Sight(NamedTuple):
         And the (point, 3) direction itself.
         """
         if self.camera.size:
-            return placed_by_camera(xy_px, self.camera, self.view.T_belt_camera, *self[1:4])  # type: ignore[no-any-return]
+            return placed_by_camera(xy_px, self.camera, self.view.T_belt_camera, *self[1:4])
         way = self.view.rays(xy_px)[1]
         ahead, beside = way @ self.forward, way @ self.side
         with np.errstate(divide="ignore", invalid="ignore"):
