@@ -48,7 +48,7 @@ from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Outliner, StageOptions
 from roemetry_kernels.compiling import float_kernel, kernel
-from roemetry_kernels.image_levels import median_of
+from roemetry_kernels.image_levels import median_of, quantile_of
 from roemetry_kernels.robust_fit import solve
 from roemetry_volume.contour_edge import Scene, edge_around, redrawn, unbound
 from roemetry_volume.footprint import area_of, inside_by
@@ -86,8 +86,8 @@ _END_ROWS = 3
 """At the ends of what is seen of the belt: a peak may be the rim's, and a round body bulges out between two
 stripes (an arc of 150 px radius over 40 px by 1.3 px)."""
 
-_TENTH = 10.0
-"""Per cent of the ends: one side of a contour has more of them, mistaken labels have fewer."""
+_TENTH = 0.1
+"""Of the ends: one side of a contour has more of them, mistaken labels have fewer."""
 _LEAST_ENDS = 8  # four stripes: of three, one may lie in the shadow, and none need reach the outline
 _END_PX = 0.5  # a stripe's end is seen to a row, that is half a pixel either way
 _STRAY_PX, _FARTHEST_PX = 5.0, 2.5
@@ -210,7 +210,7 @@ def _is_clear(level: NDArray[np.float32], region: Flags) -> bool:
     middle = median_of(outside)
     scatter = 1.4826 * median_of(np.abs(outside - middle))
     # some of the region may be belt: stripes are wider than what they show
-    low, high = np.percentile(within, [20, 80])
+    low, high = (quantile_of(within, share) for share in (0.2, 0.8))
     return bool(max(high - middle, middle - low) > _LEAST_CONTRAST * max(scatter, 1e-3))
 
 
@@ -236,13 +236,13 @@ class _Brackets(NamedTuple):
         off = -inside_by(self.free, self.ends)
         near = off < _STRAY_PX
         outside = 2.0 * float(np.clip(off[near], 0.0, _FARTHEST_PX).mean()) if near.any() else math.inf
-        astray = float(np.percentile(off, 100.0 - _TENTH))
+        astray = quantile_of(off, 1.0 - _TENTH)
         if astray > _STRAY_PX:  # more of them than glare and mistaken labels make
             outside = max(outside, astray)
-        short = np.percentile(inside_by(self.ring, self.ends), _TENTH)
+        short = quantile_of(inside_by(self.ring, self.ends), _TENTH)
         over = -math.inf
         if len(self.beyond) >= _LEAST_ENDS:
-            over = np.percentile(inside_by(self.ring, self.beyond), 100.0 - _TENTH)
+            over = quantile_of(inside_by(self.ring, self.beyond), 1.0 - _TENTH)
         against = max(float(max(outside, over)) - _END_PX, 0.0)
         return max(float(short) - _END_PX, against), against
 
@@ -253,7 +253,7 @@ class _Brackets(NamedTuple):
         def left_px(shift_px: Floats) -> float:
             outside = -inside_by(self.free, self.ends - shift_px)
             inside = inside_by(self.free, self.beyond - shift_px) if len(self.beyond) else outside
-            return max(float(np.percentile(which, 100.0 - _TENTH)) for which in (outside, inside))
+            return max(float(quantile_of(which, 1.0 - _TENTH)) for which in (outside, inside))
 
         steps = np.arange(-_SHIFT_MAX_PX, _SHIFT_MAX_PX + 1.0, _SHIFT_STEP_PX)
         coarse = min(((x, y) for x in steps for y in steps), key=lambda shift: left_px(np.array(shift)))
@@ -439,26 +439,22 @@ def _belt_terms(rows: int, columns: int, apart: int) -> Floats:
 def belt_fit(terms: Floats, bright: NDArray[np.float32], product: Flags) -> Floats:
     """Fit the terms to (row, column) light where it is not product, without what is far off."""
     count, seen, off = terms.shape[0], bright.copy().ravel(), np.empty(bright.size)
-    use, found = ~product.copy().ravel(), np.zeros(count)
+    use, used, found = ~product.copy().ravel(), np.empty(seen.size), np.zeros(count)
     if use.sum() < count:
         use[:] = True
     for _ in range(_ROUNDS):
         # of six terms within ±1 the normal equations lose nothing; the ridge is for slivers
         normal = _RIDGE * use.sum() * np.eye(count)
-        found[:] = 0.0
         for a in range(count):
-            for k in range(seen.size):
-                if use[k]:
-                    found[a] += terms[a, k] * seen[k]
+            for k in range(seen.size):  # without a branch, so that several are taken at once
+                used[k] = terms[a, k] * use[k]
+            found[a] = (used * seen).sum()
             for b in range(a + 1):
-                for k in range(seen.size):
-                    if use[k]:
-                        normal[a, b] += terms[a, k] * terms[b, k]
+                normal[a, b] += (used * terms[b]).sum()
         solve(normal, found)
-        for k in range(seen.size):
-            off[k] = seen[k]
-            for a in range(count):
-                off[k] -= terms[a, k] * found[a]
+        off[:] = seen
+        for a in range(count):
+            off -= terms[a] * found[a]
         away = np.abs(off - median_of(off[use]))
         again = use & (away < max(3.0 * 1.4826 * median_of(away[use]), 0.02))
         if again.sum() < 4 * count or (again == use).all():
