@@ -12,6 +12,7 @@ from roemetry.records import AMBIGUOUS, Peaks, Reason
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.image_levels import median_of
 
 _MISSING_ROWS = 2
 _REACH_STRIPES = 2
@@ -82,53 +83,15 @@ def refuse_unexplained_gaps(
     tuple
         (peak,) stripes, with those peaks refused, and what to say of it.
     """
-    stripes, rows = rest_px.shape
-    belt = np.zeros((stripes, rows), np.bool_)
-    body = np.zeros((stripes, rows), np.bool_)
-    on_own = (stripe >= 0) & (line == stripe)
-    belt[stripe[on_own], peaks.row[on_own]] = True
-    off_own = (stripe >= 0) & ~on_own
-    body[stripe[off_own], peaks.row[off_own]] = True
-    hiding = body
-    if on_bodies_too and stripes > 1:
-        spacing_px = np.median(np.diff(rest_px, axis=0), axis=0)
-        away_px = np.abs(peaks.x_px - rest_px[np.maximum(stripe, 0), peaks.row])
-        high = off_own & (away_px >= HIDING_SPACINGS * spacing_px[peaks.row])
-        hiding = np.zeros((stripes, rows), np.bool_)
-        hiding[stripe[high], peaks.row[high]] = True
-    refused = (stripe == AMBIGUOUS) & ((line < 0) | (not on_bodies_too))
-    off_px = np.abs(rest_px[:, peaks.row[refused]] - peaks.x_px[refused])
-    nearest = off_px.argmin(axis=0)
-    body[nearest, peaks.row[refused]] = True
-    if on_bodies_too and stripes > 1:
-        refused[refused] = off_px.min(axis=0) >= HIDING_SPACINGS * spacing_px[peaks.row[refused]]
-        nearest = np.abs(rest_px[:, peaks.row[refused]] - peaks.x_px[refused]).argmin(axis=0)
-        hiding[nearest, peaks.row[refused]] = True
-    doubt = np.zeros((stripes, rows), np.bool_)
-    interrupted = []
-    for s in range(stripes):
-        own = np.flatnonzero(belt[s])
-        hidden = body[s] | np.any(hiding[max(0, s - _REACH_STRIPES) : s + _REACH_STRIPES + 1], axis=0)
-        for k in np.flatnonzero(np.diff(own) > longest_gap_rows + 1):
-            unexplained = np.zeros(rows, np.bool_)
-            unexplained[own[k] + 1 : own[k + 1]] = ~hidden[own[k] + 1 : own[k + 1]]
-            if unexplained.sum() <= longest_gap_rows:
-                continue
-            interrupted.append(s + 1)
-            for step in _directions(displacement_px[s]):
-                active, other = unexplained.copy(), s + step
-                if on_bodies_too:
-                    active = _widened(active)
-                while 0 <= other < stripes:
-                    active &= _widened(belt[other] | body[other]) if on_bodies_too else ~body[other]
-                    doubt[other] |= active & (belt[other] | on_bodies_too)
-                    other += step
+    doubt, interrupted = doubt_beside_gaps(
+        peaks.row, peaks.x_px, stripe, line, rest_px, displacement_px, longest_gap_rows, on_bodies_too
+    )
     if not doubt.any():
         return stripe, []
     result = stripe.copy()
-    asked = (stripe >= 0) if on_bodies_too else on_own
+    asked = (stripe >= 0) if on_bodies_too else (stripe >= 0) & (line == stripe)
     result[asked] = np.where(doubt[stripe[asked], peaks.row[asked]], AMBIGUOUS, stripe[asked])
-    names = ", ".join(str(number) for number in dict.fromkeys(interrupted))
+    names = ", ".join(str(number) for number in np.flatnonzero(interrupted) + 1)
     said = Reason(
         "unexplained-gap",
         f"stripe {names} is interrupted where nothing is seen that could hide it; a flat product one stripe "
@@ -137,6 +100,77 @@ def refuse_unexplained_gaps(
     return result, [said]
 
 
+@kernel
+def doubt_beside_gaps(
+    row: Integers, x_px: Floats, stripe: Integers, line: Integers, rest_px: Floats, displacement_px: Floats,
+    longest_gap_rows: int, on_bodies_too: bool,
+) -> tuple[Flags, Flags]:  # fmt: skip
+    """Give (stripe, row) what is in doubt, and (stripe,) whose belt is interrupted without an explanation.
+
+    The parameters are those of `refuse_unexplained_gaps`, of which it is the rule.
+    """
+    stripes, rows = rest_px.shape
+    belt, body = np.zeros((stripes, rows), np.bool_), np.zeros((stripes, rows), np.bool_)
+    asks_height = on_bodies_too and stripes > 1
+    hiding, high_px = body, np.zeros(rows)
+    if asks_height:
+        hiding = np.zeros((stripes, rows), np.bool_)
+        for r in range(rows):
+            high_px[r] = HIDING_SPACINGS * median_of(rest_px[1:, r] - rest_px[:-1, r])
+    for p in range(row.size):
+        s, r = stripe[p], row[p]
+        if s >= 0 and line[p] == s:
+            belt[s, r] = True
+            continue
+        if s < 0:
+            if s != AMBIGUOUS or (line[p] >= 0 and on_bodies_too):
+                continue
+            s = np.abs(rest_px[:, r] - x_px[p]).argmin()
+        body[s, r] = True
+        if asks_height and abs(x_px[p] - rest_px[s, r]) >= high_px[r]:
+            hiding[s, r] = True
+    doubt, interrupted = np.zeros((stripes, rows), np.bool_), np.zeros(stripes, np.bool_)
+    unexplained = np.zeros(rows, np.bool_)
+    for s in range(stripes):
+        before = -1
+        for r in range(rows):
+            if not belt[s, r]:
+                continue
+            if before >= 0 and r - before > longest_gap_rows + 1:
+                unexplained[:] = False
+                for at in range(before + 1, r):
+                    hidden = body[s, at]
+                    for other in range(max(0, s - _REACH_STRIPES), min(stripes, s + _REACH_STRIPES + 1)):
+                        hidden = hidden or hiding[other, at]
+                    unexplained[at] = not hidden
+                if unexplained.sum() > longest_gap_rows:
+                    interrupted[s] = True
+                    for step in (1, -1):
+                        if not displacement_px[s] * step <= 0.0:  # both ways where it is not known
+                            _doubt_on_one_side(s, step, unexplained, belt, body, on_bodies_too, doubt)
+            before = r
+    return doubt, interrupted
+
+
+@kernel
+def _doubt_on_one_side(
+    s: int, step: int, unexplained: Flags, belt: Flags, body: Flags, on_bodies_too: bool, doubt: Flags
+) -> None:
+    """Mark what lies on one side of a gap, from stripe to stripe as long as nothing explains it."""
+    active, other = unexplained.copy(), s + step
+    if on_bodies_too:
+        active = _widened(active)
+    while 0 <= other < belt.shape[0]:
+        if on_bodies_too:
+            active &= _widened(belt[other] | body[other])
+            doubt[other] |= active
+        else:
+            active &= ~body[other]
+            doubt[other] |= active & belt[other]
+        other += step
+
+
+@kernel
 def _widened(rows: Flags) -> Flags:
     """Add the rows within 2 of a marked one: single peaks may be missing."""
     found = rows.copy()
@@ -144,10 +178,6 @@ def _widened(rows: Flags) -> Flags:
         found[by:] |= rows[:-by]
         found[:-by] |= rows[by:]
     return found
-
-
-def _directions(displacement_px: float) -> tuple[int, ...]:
-    return (1, -1) if np.isnan(displacement_px) else (int(np.sign(displacement_px)),)
 
 
 def refuse_uncodable(peaks: Peaks, calibration: Calibration | None) -> None:

@@ -351,6 +351,20 @@ def median_of(values: NDArray[Any]) -> float:
 
 
 @kernel
+def quantile_of(values: NDArray[Any], share: float) -> float:
+    """Give the value that a share of one value or more, none of them NaN, lies below; linear in between."""
+    at = share * (values.shape[0] - 1)
+    lower = int(at)
+    some = _with_in_place(values, lower)
+    if lower + 1 >= values.shape[0]:
+        return float(some[lower])
+    above = some[lower + 1]
+    for k in range(lower + 2, some.shape[0]):
+        above = min(above, some[k])
+    return float(some[lower] + (at - lower) * (above - some[lower]))
+
+
+@kernel
 def _with_in_place(values: NDArray[Any], n: int) -> NDArray[Any]:
     """Give the values with the n-th smallest at `n`, none before it larger and none behind it smaller."""
     some = values.copy()

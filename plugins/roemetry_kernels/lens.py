@@ -13,9 +13,14 @@ tilt of all fourteen coefficients; tests hold one against the other.
 
 from __future__ import annotations
 
+import math
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
+from roemetry.records import Outline
+from roemetry.records.view import View
 from roemetry_kernels.compiling import float_kernel, inlined
 
 Floats = NDArray[np.float64]
@@ -84,6 +89,42 @@ def undistorted_place(
             good = True
             break
     return x, y, xx, xy, yy, good
+
+
+@lru_cache(maxsize=8)
+def sight_lines(view: View, outline: Outline) -> tuple[Floats, Floats]:
+    """Give the lines of sight through an outline's points, as `View.rays` does: several stages ask."""
+    camera = camera_of(view)
+    if not camera.size:
+        return view.rays(outline.xy_px)
+    start: Floats
+    start, way = rays_through(outline.xy_px, camera, view.T_belt_camera)
+    return start, way
+
+
+def camera_of(view: View) -> Floats:
+    """Give (12,) fx, fy, cx, cy and the lens's coefficients; empty where it is telecentric or has more."""
+    matrix, lens = view.camera_matrix, view.distortion
+    if view.telecentric or lens.size > 8:
+        return np.empty(0)
+    return np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *lens, *[0.0] * (8 - lens.size)])
+
+
+@float_kernel
+def rays_through(xy_px: Floats, camera: Floats, pose: Floats) -> tuple[Floats, Floats]:
+    """Give what `View.rays` does, of (n, 2) places, a camera as of `camera_of` and its pose on the belt."""
+    start, way = np.empty((xy_px.shape[0], 3)), np.empty((xy_px.shape[0], 3))
+    lens = lens_from(camera, 4)
+    for k in range(xy_px.shape[0]):
+        bent_x, bent_y = (xy_px[k, 0] - camera[2]) / camera[0], (xy_px[k, 1] - camera[3]) / camera[1]
+        x, y, xx, xy, yy, good = undistorted_place(bent_x, bent_y, bent_x, bent_y, lens, _STEP_END)
+        if not (good and xx * yy - xy * xy > 0.0 and xx + yy > 0.0):
+            x, y = np.nan, np.nan
+        length = math.sqrt(x * x + y * y + 1.0)
+        for n in range(3):
+            way[k, n] = (pose[n, 0] * x + pose[n, 1] * y + pose[n, 2]) / length
+            start[k, n] = pose[n, 3] + 0.0 * way[k, n]  # NaN where there is none
+    return start, way
 
 
 @float_kernel

@@ -403,26 +403,45 @@ def middles_of_flanks(fit: Fitted, image: Any, white: int, found: Found) -> Flag
     Both uncertainties, and the middle, are means over the rows next to each of the same stripe: a stripe that
     took the fit in one row and the core in the next would jump by what lies between them.
     """
-    at, beside = found.starts, found.beside
-    last = image.shape[1] - 1
-    inside = np.clip(np.rint(at.core_px).astype(np.int64), 0, last)
-    clipped = image[at.row, inside] >= white
-    core_std_px = np.hypot(_STD_PX, at.core_std_px)
-    failed = fit.state == FAILED
-    fit_std_px = np.where(failed, core_std_px, fit.x_std_px)
-    each = np.column_stack([at.core_px, core_std_px**2, fit_std_px**2])
-    core_px, core_px2, fit_px2 = _along(each, beside.up, beside.down).T
-    vague = np.where(clipped, failed | (fit_px2 > core_px2), ~failed & (fit_px2 > _VAGUE**2 * core_px2))
-    # smoothing sees the rows beside it, too: a core is where its own row has light
-    own = np.max([image[at.row, np.clip(inside + by, 0, last)] for by in (-1, 0, 1)], axis=0)
-    core: Flags = (beside.halo | vague) & (clipped | (own - at.level > _OWN_SHARE * at.amplitude))
-    some = np.flatnonzero(core)
-    fitted_px = np.minimum(fit.x_std_px[some], _UNIFORM * at.core_width_px[some])
-    at_least_px = np.where(clipped[some] | beside.halo[some], 0.0, fitted_px)
-    fit.x_px[some], fit.amplitude[some] = core_px[some], at.amplitude[some]
-    fit.sigma_px[some] = at.core_width_px[some] / _FWHM
-    fit.x_std_px[some] = np.maximum(core_std_px[some], at_least_px)
-    fit.speckled[some], fit.state[some] = 0.0, np.where(clipped[some], CLIPPED, FITTED)
+    beside = found.beside
+    core: Flags = cores_for_fits(image, float(white), found.starts, beside.halo, beside.up, beside.down, fit)
+    return core
+
+
+@float_kernel
+def cores_for_fits(
+    image: NDArray[Any], white: float, at: Starts, halo: Flags, up: Integers, down: Integers, fit: Fitted
+) -> Flags:
+    """Put cores for fits in place, as `middles_of_flanks` says; (peak,) where it did."""
+    peaks, last = at.row.size, image.shape[1] - 1
+    core, clipped, inside = np.zeros(peaks, np.bool_), np.zeros(peaks, np.bool_), np.empty(peaks, np.int64)
+    each = np.empty((peaks, 3))
+    for p in range(peaks):
+        inside[p] = min(max(np.int64(np.rint(at.core_px[p])), 0), last)
+        clipped[p] = image[at.row[p], inside[p]] >= white
+        std_px = math.sqrt(_STD_PX * _STD_PX + at.core_std_px[p] * at.core_std_px[p])
+        fit_std_px = std_px if fit.state[p] == FAILED else fit.x_std_px[p]
+        each[p, 0], each[p, 1], each[p, 2] = at.core_px[p], std_px * std_px, fit_std_px * fit_std_px
+    mean = _along(each, up, down)
+    for p in range(peaks):
+        failed, vague = fit.state[p] == FAILED, mean[p, 2] > _VAGUE * _VAGUE * mean[p, 1]
+        if clipped[p]:
+            vague = failed or mean[p, 2] > mean[p, 1]
+        if not (halo[p] or (vague and (clipped[p] or not failed))):
+            continue
+        # smoothing sees the rows beside it, too: a core is where its own row has light
+        own = image[at.row[p], inside[p]]
+        for x in (max(inside[p] - 1, 0), min(inside[p] + 1, last)):
+            own = max(own, image[at.row[p], x])
+        core[p] = clipped[p] or own - at.level[p] > _OWN_SHARE * at.amplitude[p]
+        if core[p]:
+            at_least_px = min(fit.x_std_px[p], _UNIFORM * at.core_width_px[p])
+            if clipped[p] or halo[p]:
+                at_least_px = 0.0
+            fit.x_px[p], fit.amplitude[p] = mean[p, 0], at.amplitude[p]
+            fit.sigma_px[p] = at.core_width_px[p] / _FWHM
+            fit.x_std_px[p] = max(math.sqrt(each[p, 1]), at_least_px)
+            fit.speckled[p], fit.state[p] = 0.0, CLIPPED if clipped[p] else FITTED
     return core
 
 
@@ -433,9 +452,11 @@ def _along(values: Floats, up: Integers, down: Integers) -> Floats:
     for p in range(values.shape[0]):
         above, below, rows = up[p], down[p], 1
         while above >= 0 and below >= 0 and rows <= 2 * _CORE_ROWS:
-            mean[p] += values[above] + values[below]
+            for k in range(values.shape[1]):  # as sums of whole rows each would be an array of its own
+                mean[p, k] += values[above, k] + values[below, k]
             above, below, rows = up[above], down[below], rows + 2
-        mean[p] /= rows
+        for k in range(values.shape[1]):
+            mean[p, k] /= rows
     return mean
 
 

@@ -52,7 +52,7 @@ from roemetry_shape.product_frame import (
 from roemetry_shape.regions import (
     DENT_LEAST_MM,
     Region,
-    dome_of,
+    dome_over,
     hollow_depth,
     hollows_of,
     humps_of,
@@ -68,14 +68,12 @@ SMOOTHING_MM = 3.0
 """Window of the quadratic along each curve: a third of the narrowest dent's width (8 mm),
 whose depth it lowers by 2 %; 2 or 4 mm change no feature by more than noise does."""
 
-_ACROSS = slice(SAMPLES // 8, SAMPLES - SAMPLES // 8)
-"""Samples away from the edges, where a section is steep by nature."""
-
 _ALONG = slice(STATIONS // 10, STATIONS - STATIONS // 10)
 """Stations away from the ends, where sections shrink and few samples make them."""
 
-_LINES = list(range(SAMPLES // 8, SAMPLES - SAMPLES // 8, 2))
-"""Samples that are followed along the product."""
+_EDGE = SAMPLES // 8
+_LINES = tuple(range(_EDGE, SAMPLES - _EDGE, 2))
+"""Samples at either edge, where a section is steep by nature; and those followed along the product."""
 
 _PATCH_MM2 = 4.0
 """A depth is one that so much of the surface reaches: half of the least dent that a stripe
@@ -128,7 +126,7 @@ class _Surface(NamedTuple):
     features: dict[str, float]
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=8)
 def _surface_of(profiles: Profiles, number: int, smoothing_mm: float) -> _Surface:
     """Measure the surface of one product; where its outline alone has moved, it is not measured again."""
     cuts = cut_of(profiles, number, smoothing_mm)
@@ -207,48 +205,86 @@ _FOOT = 0.4
 
 def _size(frame: Frame) -> dict[str, float]:
     sections = frame.sections
-    width, peak, area = 2.0 * sections.half_width_mm, sections.peak_mm, sections.area_mm2
     length = float(sections.along_mm[-1] + frame.end_missing_mm.sum())
-    full = (area / np.maximum(width * peak, 1e-9))[_ALONG]
+    width, thickness, area, least, middle = size_of(sections.half_width_mm, sections.height_mm)
     return {
         "length_seen_mm": float(sections.along_mm[-1]),
         "length_extrapolated_mm": length,
-        "width_mm": float(width[_ALONG].max()),
-        "thickness_mm": float(peak[_ALONG].max()),
-        "length_to_width": length / float(width[_ALONG].max()),
-        "thickness_to_width": float(peak[_ALONG].max() / width[_ALONG].max()),
-        "section_area_max_mm2": float(area.max()),
+        "width_mm": width,
+        "thickness_mm": thickness,
+        "length_to_width": length / width,
+        "thickness_to_width": thickness / width,
+        "section_area_max_mm2": area,
         # How much of its own box a section fills: a half-ellipse π/4, a box 1, a hollow one less.
-        "fullness_least": float(full.min()),
-        "fullness_median": median_of(full),
+        "fullness_least": least,
+        "fullness_median": middle,
     }
+
+
+@float_kernel
+def size_of(half_width_mm: Floats, height_mm: Floats) -> tuple[float, float, float, float, float]:
+    """Give largest width, height and area of (station, sample) sections, and how much of a box they fill."""
+    width, full = np.empty(STATIONS), np.empty(STATIONS)
+    peak, largest = np.empty(STATIONS), 0.0
+    for k in range(STATIONS):
+        width[k], peak[k] = 2.0 * half_width_mm[k], height_mm[k].max()
+        area = height_mm[k].sum() - 0.5 * (height_mm[k, 0] + height_mm[k, SAMPLES - 1])
+        area *= width[k] / (SAMPLES - 1)
+        largest, full[k] = max(largest, area), area / max(width[k] * peak[k], 1e-9)
+    full = full[_ALONG]
+    return width[_ALONG].max(), peak[_ALONG].max(), largest, full.min(), median_of(full)
+
+
+_AXIS = ("bend_mm", "bow_mm", "s_bend_mm", "w_bend_mm", "kink_deg", "kink_rest_mm", "edge_kink_deg")
 
 
 def _axis(sections: Sections) -> dict[str, float]:
     """Bend of the line through the sections' middles, and of that through their centres of area."""
-    off = sections.middle_mm[_ALONG, 1]  # stations are even: every fit along them is the same matrix
-    straight = off - _POWERS[:, :2] @ (_FITS[1] @ off)
-    bow, s_bend = _FITS[2][2] @ off, _FITS[3][3] @ off
-    height, middle = sections.height_mm, sections.middle_mm[:, 1]
-    off_middle = (height * sections.across_mm).sum(axis=1) / np.maximum(height.sum(axis=1), 1e-9)
-    of_edges, of_area = _kink(middle), _kink(middle + off_middle)
-    step = float(sections.along_mm[1])
-    wave = float(_FIFTH_WAVE @ middle[_ENDLESS])
-    return {
-        "bend_mm": float(np.abs(straight).max()),
-        "bow_mm": abs(float(bow)),
-        "s_bend_mm": abs(float(s_bend)),
-        "w_bend_mm": abs(wave),
-        "kink_deg": math.degrees(math.atan(of_area[0] / step)),
-        "kink_rest_mm": of_area[1],
-        "edge_kink_deg": math.degrees(math.atan(of_edges[0] / step)),
-    }
+    of = sections.along_mm, sections.middle_mm, sections.height_mm, sections.across_mm
+    return dict(zip(_AXIS, axis_numbers(*of), strict=True))
+
+
+@float_kernel
+def axis_numbers(
+    along_mm: Floats, middle_mm: Floats, height_mm: Floats, across_mm: Floats
+) -> tuple[float, float, float, float, float, float, float]:
+    """Give what `_AXIS` names; stations are even, so every fit along them is the same matrix."""
+    middle, of_area = middle_mm[:, 1].copy(), np.empty(STATIONS)
+    for k in range(STATIONS):
+        moment, whole = 0.0, 0.0
+        for j in range(SAMPLES):
+            moment += height_mm[k, j] * across_mm[k, j]
+            whole += height_mm[k, j]
+        of_area[k] = middle[k] + moment / max(whole, 1e-9)
+    off = middle[_ALONG].copy()
+    level, slope, bend = _dot(_LINE[0], off), _dot(_LINE[1], off), 0.0
+    for k in range(off.size):
+        bend = max(bend, abs(off[k] - level - slope * _PLACES[k]))
+    wave = _dot(_FIFTH_WAVE, middle[_ENDLESS].copy())
+    (turn, left), (of_edges, _) = _kink(of_area), _kink(middle)
+    step = along_mm[1]
+    return (
+        bend, abs(_dot(_BOW, off)), abs(_dot(_S_BEND, off)), abs(wave),
+        math.degrees(math.atan(turn / step)), left, math.degrees(math.atan(of_edges / step)),
+    )  # fmt: skip
+
+
+@float_kernel
+def _dot(one: Floats, other: Floats) -> float:
+    total = 0.0
+    for k in range(one.size):
+        total += one[k] * other[k]
+    return total
 
 
 _POWERS = np.linspace(-1.0, 1.0, STATIONS)[_ALONG, None] ** np.arange(4)
 _POWERS /= np.abs(_POWERS[0, 1]) ** np.arange(4)
-_FITS = {degree: np.linalg.pinv(_POWERS[:, : degree + 1]) for degree in (1, 2, 3)}
-"""Powers of the place along, from −1 at one end to 1, and what fits a polynomial of each degree."""
+_PLACES = _POWERS[:, 1].copy()
+_LINE, _BOW, _S_BEND = (
+    np.ascontiguousarray(np.linalg.pinv(_POWERS[:, : degree + 1])[part])
+    for degree, part in ((1, slice(0, 2)), (2, 2), (3, 3))
+)
+"""Place along, from −1 at one end to 1, and what fits a line, and the last term of two and three degrees."""
 
 
 def _hinges() -> tuple[Floats, Floats]:
@@ -258,7 +294,7 @@ def _hinges() -> tuple[Floats, Floats]:
     hinge = np.maximum(at[:, None] - at[_REACH:-_REACH], 0.0)
     rest = hinge - straight @ np.linalg.lstsq(straight, hinge, rcond=None)[0]
     length = np.sqrt((rest**2).sum(axis=0))
-    return np.asarray((rest / length).T), length
+    return np.ascontiguousarray((rest / length).T), length
 
 
 _ENDLESS = slice(2, STATIONS - 2)
@@ -270,42 +306,60 @@ _REACH = STATIONS // 7
 _HINGES, _HINGE_LENGTHS = _hinges()
 _LEVER = np.linspace(-1.0, 1.0, STATIONS - 4)
 _LEVER /= np.sqrt(_LEVER @ _LEVER)
-_FIFTH_WAVE = np.linalg.pinv(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, STATIONS)[_ENDLESS], 5))[
-    4
-]
+_FIFTH_WAVE = np.ascontiguousarray(
+    np.linalg.pinv(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, STATIONS)[_ENDLESS], 5))[4]
+)
 """What gives the fourth coefficient of a fit by Legendre's polynomials up to the fifth."""
 
 
+@float_kernel
 def _kink(off_mm: Floats) -> tuple[float, float]:
     """Turn in mm a station, and what is left, rms mm, of the line with one kink that fits best."""
-    off = off_mm[_ENDLESS]
-    off = off - off.mean() - _LEVER * (_LEVER @ off)
-    along = _HINGES @ off
-    best = int(np.abs(along).argmax())
-    left = math.sqrt(max(float((off**2).sum() - along[best] ** 2), 0.0) / off.size)
-    return abs(float(along[best] / _HINGE_LENGTHS[best])), left
+    off = off_mm[_ENDLESS].copy()
+    off -= off.mean()
+    off -= _LEVER * _dot(_LEVER, off)
+    best, most = 0, 0.0
+    for k in range(_HINGES.shape[0]):
+        along = _dot(_HINGES[k], off)
+        if abs(along) > abs(most):
+            best, most = k, along
+    left = math.sqrt(max(_dot(off, off) - most * most, 0.0) / off.size)
+    return abs(most / _HINGE_LENGTHS[best]), left
 
 
 _INNER, _SHOULDER = (0.05, 0.4), (0.4, 0.7)
 """Parts of a section's half width whose lean is told: near the ridge, and on the flanks."""
 
 
+_LEAN = (
+    "twist_deg", "twist_of_ends_deg", "twist_of_flanks_deg", "lean_range_deg", "lean_uneven_deg",
+    "stoutness_spread",
+)  # fmt: skip
+
+
 def _lean(sections: Sections) -> dict[str, float]:
     """Lean of the sections to one side, and how it changes along: twist."""
-    inner, shoulder = np.degrees(np.arctan(_LEANS @ sections.height_mm.T / sections.half_width_mm))
-    turn = float(_U @ inner) / float(_U @ _U)  # over half the length: stations are even
-    rest = (inner - inner.mean() - turn * _U)[_ALONG]
-    ratio = sections.peak_mm / np.maximum(2.0 * sections.half_width_mm, 1e-9)
-    middle: float = median_of(ratio[2 * _FIFTH : -2 * _FIFTH])
-    return {
-        "twist_deg": 2.0 * abs(turn),
-        "twist_of_ends_deg": _end_to_end(inner),
-        "twist_of_flanks_deg": _end_to_end(shoulder),
-        "lean_range_deg": float(np.ptp(inner[_ALONG])),
-        "lean_uneven_deg": _rms(rest),
+    return dict(zip(_LEAN, lean_numbers(sections.height_mm, sections.half_width_mm), strict=True))
+
+
+@float_kernel
+def lean_numbers(height_mm: Floats, half_width_mm: Floats) -> tuple[float, float, float, float, float, float]:
+    """Give what `_LEAN` names; the lean itself is told in degrees."""
+    lean, ratio = np.empty((2, STATIONS)), np.empty(STATIONS)
+    for k in range(STATIONS):
+        for part in range(2):
+            lean[part, k] = math.degrees(math.atan(_dot(_LEANS[part], height_mm[k]) / half_width_mm[k]))
         # A section that is turned about its middle is narrower and higher than one that lies flat.
-        "stoutness_spread": float(np.std(ratio[4:-4])) / middle,
-    }
+        ratio[k] = height_mm[k].max() / max(2.0 * half_width_mm[k], 1e-9)
+    inner = lean[0]
+    turn = _dot(_U, inner) / _dot(_U, _U)  # over half the length: stations are even
+    rest = (inner - inner.mean() - turn * _U)[_ALONG]
+    middle = median_of(ratio[2 * _FIFTH : -2 * _FIFTH].copy())
+    along = inner[_ALONG]
+    return (
+        2.0 * abs(turn), _end_to_end(inner), _end_to_end(lean[1]), along.max() - along.min(),
+        math.sqrt((rest * rest).mean()), ratio[4:-4].std() / middle,
+    )  # fmt: skip
 
 
 def _lean_weights(part: tuple[float, float]) -> Floats:
@@ -318,39 +372,64 @@ _LEANS = np.stack([_lean_weights(part) for part in (_INNER, _SHOULDER)])
 """(2, sample) of the part near the ridge, and of the flanks."""
 
 
+@float_kernel
 def _end_to_end(values: Floats) -> float:
     seventh = STATIONS // 7
-    return abs(float(values[:seventh].mean() - values[-seventh:].mean()))
+    return float(abs(values[:seventh].mean() - values[-seventh:].mean()))
 
 
 def _hollows(sections: Sections) -> dict[str, float]:
     """Depths below the hulls across and along, and the dents: regions below those across."""
-    across = hollow_depth(sections.across_mm, np.ascontiguousarray(sections.height_mm))
-    # At its edges a section ends where the last row was seen: a step there is no hollow.
-    across[:, : _ACROSS.start] = across[:, _ACROSS.stop :] = 0.0
-    lines = np.ascontiguousarray(sections.height_mm[_ALONG][:, _LINES].T)
-    s = np.ascontiguousarray(np.broadcast_to(sections.along_mm[_ALONG], lines.shape))
-    along = hollow_depth(s, lines)
-    deepest, saddles = across.max(axis=1), np.sort(along.max(axis=1))
-    cup = np.minimum(across[_ALONG][:, _LINES], along.T)
-    step = float(sections.along_mm[1])
-    sample = 2.0 * sections.half_width_mm / (SAMPLES - 1) * step  # mm² of a sample
-    every_second = 2.0 * sample[_ALONG]
+    of = sections.along_mm, sections.half_width_mm, sections.height_mm, sections.across_mm
+    across, *numbers = hollow_numbers(*of)
     dents = [one for one in regions_of(across, sections, DENT_LEAST_MM) if one.area_mm2 >= _PATCH_MM2]
     return {
-        "hollow_depth_mm": depth_reached(across, sample, _PATCH_MM2),
-        "hollow_median_mm": median_of(deepest),
-        "hollow_mean_mm": float(across.mean()),
+        **dict(zip(_HOLLOWS, numbers, strict=True)),
         "dent_depth_mm": dents[0].depth_mm if dents else 0.0,
         "dent_area_mm2": dents[0].area_mm2 if dents else 0.0,
         "dents": float(len(dents)),
-        "saddle_mm": float(saddles[-3]),
-        "saddle_share": float(saddles[-3]) / _thick(sections),
-        "saddle_median_mm": float(saddles[len(saddles) // 2]),
-        "saddle_least_mm": float(saddles[len(saddles) // 10]),
-        "cup_depth_mm": depth_reached(cup, every_second, _PATCH_MM2),
-        "cup_volume_mm3": float(cup.sum(axis=1) @ every_second),
     }
+
+
+_HOLLOWS = (
+    "hollow_depth_mm", "hollow_median_mm", "hollow_mean_mm", "saddle_mm", "saddle_share",
+    "saddle_median_mm", "saddle_least_mm", "cup_depth_mm", "cup_volume_mm3",
+)  # fmt: skip
+
+
+@kernel
+def hollow_numbers(
+    along_mm: Floats, half_width_mm: Floats, height_mm: Floats, across_mm: Floats
+) -> tuple[Floats, float, float, float, float, float, float, float, float, float]:
+    """Give (station, sample) depths below the hulls across, and what `_HOLLOWS` names."""
+    across = hollow_depth(across_mm, height_mm)
+    # At its edges a section ends where the last row was seen: a step there is no hollow.
+    across[:, :_EDGE] = 0.0
+    across[:, SAMPLES - _EDGE :] = 0.0
+    first, stations, lines = STATIONS // 10, STATIONS - 2 * (STATIONS // 10), len(_LINES)
+    s, surface = np.empty((lines, stations)), np.empty((lines, stations))
+    for line in range(lines):
+        for k in range(stations):
+            s[line, k], surface[line, k] = along_mm[first + k], height_mm[first + k, _LINES[line]]
+    along = hollow_depth(s, surface)
+    saddles, deepest, cup = np.empty(lines), np.empty(STATIONS), np.empty((stations, lines))
+    for line in range(lines):
+        saddles[line] = along[line].max()
+        for k in range(stations):
+            cup[k, line] = min(across[first + k, _LINES[line]], along[line, k])
+    saddles.sort()
+    sample, volume = np.empty(STATIONS), 0.0  # mm² of a sample
+    for k in range(STATIONS):
+        deepest[k] = across[k].max()
+        sample[k] = 2.0 * half_width_mm[k] / (SAMPLES - 1) * along_mm[1]
+    every_second = 2.0 * sample[first : first + stations]
+    for k in range(stations):
+        volume += cup[k].sum() * every_second[k]
+    return (
+        across, depth_reached(across, sample, _PATCH_MM2), median_of(deepest), across.mean(), saddles[-3],
+        saddles[-3] / max(height_mm.max(), 1e-9), saddles[lines // 2], saddles[lines // 10],
+        depth_reached(cup, every_second, _PATCH_MM2), volume,
+    )  # fmt: skip
 
 
 @kernel
@@ -377,37 +456,53 @@ def depth_reached(depth: Floats, area_mm2: Floats, patch_mm2: float) -> float:
 
 def _pits(sections: Sections) -> dict[str, float]:
     """Depth below a smooth dome that fits most of the surface, and how smooth the surface is against it."""
-    off = (sections.height_mm - dome_of(sections))[_ALONG, _ACROSS]
-    sample = 2.0 * sections.half_width_mm[_ALONG] / (SAMPLES - 1) * sections.along_mm[1]
-    return {
-        "pit_depth_mm": max(depth_reached(-off, sample, _PATCH_MM2), 0.0),
-        "off_dome_mm": _rms(off),
-        "off_dome_median_mm": median_of(np.abs(off).ravel()),
-    }
+    deepest, rms, middle = pit_numbers(sections.along_mm, sections.half_width_mm, sections.height_mm)
+    return {"pit_depth_mm": deepest, "off_dome_mm": rms, "off_dome_median_mm": middle}
+
+
+@kernel
+def pit_numbers(along_mm: Floats, half_width_mm: Floats, height_mm: Floats) -> tuple[float, float, float]:
+    """Give the depth of pits below the dome, and how far the surface is off it, rms and median, mm."""
+    off = (height_mm - dome_over(along_mm, height_mm))[_ALONG, _EDGE : SAMPLES - _EDGE].copy()
+    sample = 2.0 * half_width_mm[_ALONG] / (SAMPLES - 1) * along_mm[1]
+    pit = max(depth_reached(-off, sample, _PATCH_MM2), 0.0)
+    return pit, math.sqrt((off * off).mean()), median_of(np.abs(off).ravel())
 
 
 def _runs(sections: Sections) -> dict[str, float]:
     """Run of height and width along the product, as shares of the largest: ends cut off, dips and bumps."""
-    runs = np.stack([sections.peak_mm, sections.height_mm[:, SAMPLES // 2], sections.half_width_mm])
-    share = runs / np.maximum(runs.max(axis=1), 1e-9)[:, None]
-    smooth = share @ _QUARTIC_FIT.T
-    rest = share - smooth @ _QUARTIC.T
-    ends, tenths = np.sort(share[:, [0, -1]]), np.sort(share[:, [_TENTH, -1 - _TENTH]])
-    every = {
-        "end_low": ends[:, 0],
-        "end_high": ends[:, 1],
-        "tenth_low": tenths[:, 0],
-        "tenth_high": tenths[:, 1],
-        "arch": -smooth[:, 2],
-        "dip": -rest[:, 3:-3].min(axis=1),
-        "bump": rest[:, 3:-3].max(axis=1),
-        "uneven": np.sqrt((rest**2).mean(axis=1)),
-    }
+    every = run_numbers(sections.height_mm, sections.half_width_mm).tolist()
     return {
-        f"{name}_{which}": float(every[which][k])
+        f"{name}_{which}": every[k][_OF_RUNS.index(which)]
         for k, (name, kept) in enumerate(_KEPT_OF_RUNS.items())
         for which in kept
     }
+
+
+_OF_RUNS = ("end_low", "end_high", "tenth_low", "tenth_high", "arch", "dip", "bump", "uneven")
+
+
+@float_kernel
+def run_numbers(height_mm: Floats, half_width_mm: Floats) -> Floats:
+    """Give (run, number) what `_OF_RUNS` names, of peaks, the ridge and half widths."""
+    share, found = np.empty(STATIONS), np.empty((3, len(_OF_RUNS)))
+    for run in range(3):
+        for k in range(STATIONS):
+            share[k] = height_mm[k].max() if run == 0 else height_mm[k, SAMPLES // 2]
+            share[k] = half_width_mm[k] if run == 2 else share[k]
+        share /= max(share.max(), 1e-9)
+        rest, arch = share.copy(), 0.0
+        for degree in range(5):
+            term = _dot(_QUARTIC_FIT[degree], share)
+            arch = -term if degree == 2 else arch
+            for k in range(STATIONS):
+                rest[k] -= term * _QUARTIC[k, degree]
+        for n, at in enumerate((0, _TENTH)):
+            one, other = share[at], share[STATIONS - 1 - at]
+            found[run, 2 * n], found[run, 2 * n + 1] = min(one, other), max(one, other)
+        found[run, 4], found[run, 5], found[run, 6] = arch, -rest[3:-3].min(), rest[3:-3].max()
+        found[run, 7] = math.sqrt((rest * rest).mean())
+    return found
 
 
 _KEPT_OF_RUNS = {
@@ -439,7 +534,7 @@ _MISSING_MOST = 3.0
 _U = np.linspace(-1.0, 1.0, STATIONS)
 _TENTH, _FIFTH = STATIONS // 10, STATIONS // 5  # stations: a tenth and a fifth of the length
 _QUARTIC = np.polynomial.legendre.legvander(_U, 4)
-_QUARTIC_FIT = np.linalg.pinv(_QUARTIC)
+_QUARTIC_FIT = np.ascontiguousarray(np.linalg.pinv(_QUARTIC))
 
 
 def _hump_features(humps: tuple[Region, ...]) -> dict[str, float]:
@@ -448,11 +543,3 @@ def _hump_features(humps: tuple[Region, ...]) -> dict[str, float]:
         "hump_area_mm2": humps[0].area_mm2 if humps else 0.0,
         "humps": float(len(humps)),
     }
-
-
-def _thick(sections: Sections) -> float:
-    return max(float(sections.peak_mm.max()), 1e-9)
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt((values**2).mean()))

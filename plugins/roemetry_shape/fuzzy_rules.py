@@ -5,15 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from roemetry.records import Grade, Product, Reason
+from roemetry.records import Grade, Product, Reason, Relief
 from roemetry.stages import Classifier, StageOptions
-from roemetry_shape.features import SMOOTHING_MM, shape_of
+from roemetry_shape.features import SMOOTHING_MM, shape_features, shape_of
 from roemetry_shape.product_frame import doubt_of
 
 UNKNOWN = "unknown"
@@ -88,8 +87,12 @@ class FuzzyRules(Classifier[FuzzyRulesOptions]):
 
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Judge by rules; `rng` is not used: rules do not err."""
-        shape = shape_of(product, self.options.smoothing_mm)
-        return replace(self.judge(shape.features), relief=shape.relief)
+        del rng
+        return self.judge(shape_features(product, self.options.smoothing_mm))
+
+    def relief(self, product: Product) -> Relief | None:
+        """Give the surface that the features were read off."""
+        return shape_of(product, self.options.smoothing_mm).relief
 
     def judge(self, features: Mapping[str, float]) -> Grade:
         """Judge features that were measured already."""

@@ -43,7 +43,7 @@ import numpy as np
 from pydantic import Field
 
 from roemetry.errors import DataError, StageError
-from roemetry.records import Fitted, Grade, Product, Reason, Samples
+from roemetry.records import Fitted, Grade, Product, Reason, Relief, Samples
 from roemetry.records.arrays import Floats, Integers
 from roemetry.stages import Capabilities, Classifier, StageOptions
 from roemetry_shape.features import SMOOTHING_MM, shape_features, shape_of
@@ -104,13 +104,12 @@ class Learned(Classifier[LearnedOptions]):
         StageError
             The model's file is none, or damaged.
         """
-        shape = shape_of(product, self._model.smoothing_mm)
-        return replace(self.judge(shape.features), relief=shape.relief)
-
-    def redraw(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
-        """Judge a product that has moved a little: without the surface to draw."""
         del rng
         return self.judge(shape_features(product, self._model.smoothing_mm))
+
+    def relief(self, product: Product) -> Relief | None:
+        """Give the surface that the features were read off."""
+        return shape_of(product, self._model.smoothing_mm).relief
 
     def judge(self, features: Mapping[str, float]) -> Grade:
         """Judge features that were measured already, with the model's `smoothing_mm`."""

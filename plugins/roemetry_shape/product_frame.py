@@ -23,10 +23,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roemetry.records import Product, Profiles, Reason, sight_lines
+from roemetry.records import Product, Profiles, Reason
 from roemetry.records.arrays import Floats, Integers
 from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.image_levels import median_of
+from roemetry_kernels.lens import sight_lines
 from roemetry_kernels.slices import body_curves, smoothed
 
 STATIONS = 41

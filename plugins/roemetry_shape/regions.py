@@ -27,7 +27,7 @@ import numpy as np
 
 from roemetry.records import Relief, ReliefMap, ReliefRegion
 from roemetry.records.arrays import Floats, Integers
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.robust_fit import robust_fit
 from roemetry_shape.product_frame import EVEN, SAMPLES, Sections
 
@@ -90,18 +90,42 @@ def humps_of(sections: Sections) -> tuple[Floats, tuple[Region, ...]]:
 
 def dome_of(sections: Sections) -> Floats:
     """(section, sample) heights of the smooth body that fits most of the surface, mm; see `humps_of`."""
-    along = sections.along_mm / max(float(sections.along_mm[-1]), 1e-9) * 2.0 - 1.0
-    of_s = along[:, None] ** np.arange(4)
-    rows = (of_s.T[:, None, :, None] * _OF_T[:, _FITTED][None, :, None, :]).reshape(12, -1)
-    wanted = (sections.height_mm[:, _FITTED] ** 2).ravel()
-    ridge = np.full(len(rows), _RIDGE)
-    fit, _, _ = robust_fit(rows, wanted, np.ones(wanted.size), ridge, _SPREAD_LEAST_MM2, _ROUNDS)
-    return np.asarray(np.sqrt(np.maximum(of_s @ fit.reshape(4, 3) @ _OF_T, 0.0)))
+    dome: Floats = dome_over(sections.along_mm, sections.height_mm)
+    return dome
+
+
+@float_kernel
+def dome_over(along_mm: Floats, height_mm: Floats) -> Floats:
+    """Give what `dome_of` does, of (section,) places along the product and (section, sample) heights."""
+    sections, fitted = along_mm.size, _FITTED.size
+    of_s, rows = np.empty((4, sections)), np.empty((12, sections * fitted))
+    wanted = np.empty(sections * fitted)
+    for k in range(sections):
+        place = along_mm[k] / max(along_mm[sections - 1], 1e-9) * 2.0 - 1.0
+        of_s[0, k], of_s[1, k], of_s[2, k], of_s[3, k] = 1.0, place, place * place, place * place * place
+        for j in range(fitted):
+            wanted[k * fitted + j] = height_mm[k, _FITTED[j]] ** 2
+            for a in range(4):
+                for b in range(3):
+                    rows[3 * a + b, k * fitted + j] = of_s[a, k] * _OF_T[b, _FITTED[j]]
+    ridge = np.full(12, _RIDGE)
+    fit = robust_fit(rows, wanted, np.ones(wanted.size), ridge, _SPREAD_LEAST_MM2, _ROUNDS)[0]
+    dome = np.zeros_like(height_mm)
+    for k in range(sections):
+        for b in range(3):
+            term = 0.0
+            for a in range(4):
+                term += of_s[a, k] * fit[3 * a + b]
+            for j in range(dome.shape[1]):
+                dome[k, j] += term * _OF_T[b, j]
+        for j in range(dome.shape[1]):
+            dome[k, j] = np.sqrt(max(dome[k, j], 0.0))
+    return dome
 
 
 _INSIDE = np.flatnonzero(np.abs(EVEN) <= _INNER)
-_FITTED = _INSIDE[::_STEP]
-_OF_T = (EVEN[:, None] ** np.arange(3)).T
+_FITTED = _INSIDE[::_STEP].copy()
+_OF_T = np.ascontiguousarray((EVEN[:, None] ** np.arange(3)).T)
 """Samples in which humps are told, those that a dome is fitted to, and (3, sample) 1, t, t²."""
 
 

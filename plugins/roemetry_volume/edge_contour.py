@@ -44,10 +44,12 @@ from pydantic import Field
 from roemetry.errors import StageError
 from roemetry.io.tiff import as_stored
 from roemetry.records import Frame, Outline, Reason, StripeMap
-from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Outliner, StageOptions
-from roemetry_kernels.image_levels import median_of
+from roemetry_kernels.compiling import float_kernel, kernel
+from roemetry_kernels.image_levels import median_of, quantile_of
+from roemetry_kernels.robust_fit import solve
 from roemetry_volume.edge_search import Scene, edge_around, redrawn, unbound
 from roemetry_volume.footprint import area_of, inside_by
 from roemetry_volume.image_motion import laid_over, logarithm
@@ -84,8 +86,8 @@ _END_ROWS = 3
 """At the ends of what is seen of the belt: a peak may be the rim's, and a round body bulges out between two
 stripes (an arc of 150 px radius over 40 px by 1.3 px)."""
 
-_TENTH = 10.0
-"""Per cent of the ends: one side of a contour has more of them, mistaken labels have fewer."""
+_TENTH = 0.1
+"""Of the ends: one side of a contour has more of them, mistaken labels have fewer."""
 _LEAST_ENDS = 8  # four stripes: of three, one may lie in the shadow, and none need reach the outline
 _END_PX = 0.5  # a stripe's end is seen to a row, that is half a pixel either way
 _STRAY_PX, _FARTHEST_PX = 5.0, 2.5
@@ -208,7 +210,7 @@ def _is_clear(level: NDArray[np.float32], region: Flags) -> bool:
     middle = median_of(outside)
     scatter = 1.4826 * median_of(np.abs(outside - middle))
     # some of the region may be belt: stripes are wider than what they show
-    low, high = np.percentile(within, [20, 80])
+    low, high = (quantile_of(within, share) for share in (0.2, 0.8))
     return bool(max(high - middle, middle - low) > _LEAST_CONTRAST * max(scatter, 1e-3))
 
 
@@ -234,13 +236,13 @@ class _Brackets(NamedTuple):
         off = -inside_by(self.free, self.ends)
         near = off < _STRAY_PX
         outside = 2.0 * float(np.clip(off[near], 0.0, _FARTHEST_PX).mean()) if near.any() else math.inf
-        astray = float(np.percentile(off, 100.0 - _TENTH))
+        astray = quantile_of(off, 1.0 - _TENTH)
         if astray > _STRAY_PX:  # more of them than glare and mistaken labels make
             outside = max(outside, astray)
-        short = np.percentile(inside_by(self.ring, self.ends), _TENTH)
+        short = quantile_of(inside_by(self.ring, self.ends), _TENTH)
         over = -math.inf
         if len(self.beyond) >= _LEAST_ENDS:
-            over = np.percentile(inside_by(self.ring, self.beyond), 100.0 - _TENTH)
+            over = quantile_of(inside_by(self.ring, self.beyond), 1.0 - _TENTH)
         against = max(float(max(outside, over)) - _END_PX, 0.0)
         return max(float(short) - _END_PX, against), against
 
@@ -251,7 +253,7 @@ class _Brackets(NamedTuple):
         def left_px(shift_px: Floats) -> float:
             outside = -inside_by(self.free, self.ends - shift_px)
             inside = inside_by(self.free, self.beyond - shift_px) if len(self.beyond) else outside
-            return max(float(np.percentile(which, 100.0 - _TENTH)) for which in (outside, inside))
+            return max(float(quantile_of(which, 1.0 - _TENTH)) for which in (outside, inside))
 
         steps = np.arange(-_SHIFT_MAX_PX, _SHIFT_MAX_PX + 1.0, _SHIFT_STEP_PX)
         coarse = min(((x, y) for x in steps for y in steps), key=lambda shift: left_px(np.array(shift)))
@@ -263,19 +265,40 @@ class _Brackets(NamedTuple):
 
 def _brackets(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> _Brackets | None:
     """Find the ends of what is seen of a product's stripes, and the belt next to them; None of too few."""
-    ends, beyond = [], []
-    for x_px, seen, product in zip(stripes.x_px, stripes.seen, stripes.product, strict=True):
-        mine, belt = np.flatnonzero(seen & (product == number)), np.flatnonzero(seen & (product == 0))
-        if mine.size < _LEAST_ROWS:
-            continue
-        ends += [(x_px[row], row) for row in (mine[0], mine[-1])]
-        next_on_belt = *belt[belt < mine[0]][-1:], *belt[belt > mine[-1]][:1]
-        beyond += [(x_px[row], row) for row in next_on_belt]
+    ends, beyond = ends_of_stripes(stripes.x_px, stripes.seen, stripes.product, number, _LEAST_ROWS)
     if len(ends) < _LEAST_ENDS:
         return None
-    return _Brackets(
-        ring, unbound(scene, ring), np.array(ends, np.float64), np.array(beyond, np.float64).reshape(-1, 2)
-    )
+    return _Brackets(ring, unbound(scene, ring), ends, beyond)
+
+
+@kernel
+def ends_of_stripes(
+    x_px: Floats, seen: Flags, product: Labels, number: int, least_rows: int
+) -> tuple[Floats, Floats]:
+    """Give (end, 2) px of what is seen of a product's stripes, and (end, 2) px of the belt next to them.
+
+    Of (stripe, row) stripes with fewer rows on the product none are given.
+    """
+    stripes, rows = x_px.shape
+    ends, beyond = np.empty((2 * stripes, 2)), np.empty((2 * stripes, 2))
+    many = belts = 0
+    for s in range(stripes):
+        first, last, count = -1, -1, 0
+        for row in range(rows):
+            if seen[s, row] and product[s, row] == number:
+                first, last, count = row if first < 0 else first, row, count + 1
+        if count < least_rows:
+            continue
+        for row, step in ((first, -1), (last, 1)):
+            ends[many, 0], ends[many, 1] = x_px[s, row], row
+            many += 1
+            on = row + step
+            while 0 <= on < rows and not (seen[s, on] and product[s, on] == 0):
+                on += step
+            if 0 <= on < rows:
+                beyond[belts, 0], beyond[belts, 1] = x_px[s, on], on
+                belts += 1
+    return ends[:many].copy(), beyond[:belts].copy()
 
 
 def _contradiction(against_px: float, left_px: float) -> Reason:
@@ -398,33 +421,46 @@ def _own_belt(bright: NDArray[np.float32], product: Flags) -> NDArray[np.float32
     """Fit the belt's brightness where it is not product, by least squares that drop what is far off."""
     rows, columns = bright.shape
     apart = max(_GRID_PX, round(math.sqrt(bright.size / _GRID_POINTS)))
-    grid = slice(None, None, apart), slice(None, None, apart)
-    y, x = np.mgrid[0:rows:apart, 0:columns:apart]
-    a, b = x.ravel() / columns - 0.5, y.ravel() / rows - 0.5
-
-    def design(u: Floats, v: Floats) -> Floats:
-        return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
-
-    terms, seen = design(a, b), bright[grid].ravel().astype(np.float64)
-    use = ~product[grid].ravel()
-    if use.sum() < terms.shape[1]:
-        use[:] = True
-    for _ in range(_ROUNDS):
-        belt = terms[use]
-        # of six terms within ±1 the normal equations lose nothing, and cost a tenth; the ridge is for slivers
-        normal = belt.T @ belt + _RIDGE * len(belt) * np.eye(belt.shape[1])
-        found = np.linalg.solve(normal, belt.T @ seen[use])
-        off = seen - terms @ found
-        off -= median_of(off[use])
-        away = np.abs(off)
-        again = use & (away < max(3.0 * 1.4826 * median_of(away[use]), 0.02))
-        if again.sum() < 4 * terms.shape[1] or (again == use).all():
-            break
-        use = again
+    c = belt_fit(_belt_terms(rows, columns, apart), bright[::apart, ::apart], product[::apart, ::apart])
     v, u = np.arange(rows) / rows - 0.5, np.arange(columns) / columns - 0.5
-    c = found
     along = np.stack([c[0] + v * (c[2] + c[5] * v), c[1] + c[4] * v, np.full(rows, c[3])], axis=1)
     return along.astype(np.float32) @ np.stack([np.ones(columns), u, u * u]).astype(np.float32)
+
+
+@lru_cache(maxsize=4)
+def _belt_terms(rows: int, columns: int, apart: int) -> Floats:
+    """Give (6, place) the terms of the belt's polynomial on a grid."""
+    y, x = np.mgrid[0:rows:apart, 0:columns:apart]
+    u, v = x.ravel() / columns - 0.5, y.ravel() / rows - 0.5
+    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v])
+
+
+@float_kernel
+def belt_fit(terms: Floats, bright: NDArray[np.float32], product: Flags) -> Floats:
+    """Fit the terms to (row, column) light where it is not product, without what is far off."""
+    count, seen, off = terms.shape[0], bright.copy().ravel(), np.empty(bright.size)
+    use, used, found = ~product.copy().ravel(), np.empty(seen.size), np.zeros(count)
+    if use.sum() < count:
+        use[:] = True
+    for _ in range(_ROUNDS):
+        # of six terms within ±1 the normal equations lose nothing; the ridge is for slivers
+        normal = _RIDGE * use.sum() * np.eye(count)
+        for a in range(count):
+            for k in range(seen.size):  # without a branch, so that several are taken at once
+                used[k] = terms[a, k] * use[k]
+            found[a] = (used * seen).sum()
+            for b in range(a + 1):
+                normal[a, b] += (used * terms[b]).sum()
+        solve(normal, found)
+        off[:] = seen
+        for a in range(count):
+            off -= terms[a] * found[a]
+        away = np.abs(off - median_of(off[use]))
+        again = use & (away < max(3.0 * 1.4826 * median_of(away[use]), 0.02))
+        if again.sum() < 4 * count or (again == use).all():
+            break
+        use = again
+    return found
 
 
 def _contrast(plane: NDArray[np.float32], product: Flags) -> float:
@@ -482,24 +518,22 @@ def _seen_regions(stripes: StripeMap, size: tuple[int, int]) -> dict[int, Flags]
 
     regions = {}
     mine = stripes.seen & (stripes.product > 0)
-    for number in np.unique(stripes.product[mine]).tolist():
-        first, last, points = [], [], []
-        for x_px, on in zip(stripes.x_px, mine & (stripes.product == number), strict=True):
-            pieces = [piece for piece in _pieces(on) if piece.size >= _LEAST_ROWS]
-            if pieces:
-                rows = np.concatenate(pieces)
-                first.append((x_px[rows[0]], rows[0]))
-                last.append((x_px[rows[-1]], rows[-1]))
-                points.append(np.column_stack([x_px[rows], rows]))
-        if not points:
+    highest = int(stripes.product.max(initial=0))
+    for number in range(1, highest + 1):
+        on = mine if highest == 1 else mine & (stripes.product == number)
+        stripe, row, _ = pieces_in_line(on, _GAP_ROWS, _LEAST_ROWS, 0)
+        if not row.size:
             continue
+        x_px, begins = stripes.x_px[stripe, row], np.flatnonzero(np.diff(stripe, prepend=-1))
+        first, last = (
+            list(zip(x_px[at], row[at], strict=True)) for at in (begins, np.append(begins[1:], 0) - 1)
+        )
         # stripes are displaced on the product, so their order there is that of x, not of their numbers
         ring = sorted(first) + sorted(last, reverse=True)
         mask = np.zeros(size, np.uint8)
         cv2.fillPoly(mask, [np.rint(ring).astype(np.int32).reshape(-1, 1, 2)], 1)
-        columns, rows = np.rint(np.concatenate(points)).astype(np.int64).T
-        mask[rows, np.clip(columns, 0, size[1] - 1)] = 1
-        regions[int(number)] = mask.astype(np.bool_)
+        mask[row, np.clip(np.rint(x_px).astype(np.int64), 0, size[1] - 1)] = 1
+        regions[number] = mask.view(np.bool_)
     return regions
 
 
@@ -553,11 +587,13 @@ def _belt_stripes(stripes: StripeMap, number: int, size: tuple[int, int]) -> NDA
     import cv2
 
     drawn = np.zeros(size, np.uint8)
-    for x_px, on in zip(stripes.x_px, stripes.seen & (stripes.product != number), strict=True):
-        for piece in _pieces(on):
-            kept = piece[_END_ROWS:-_END_ROWS]
-            chain = np.column_stack([np.rint(x_px[kept]), kept]).astype(np.int32)
-            cv2.polylines(drawn, [chain.reshape(-1, 1, 2)], isClosed=False, color=1)
+    on = stripes.seen & (stripes.product != number)
+    stripe, row, begins = pieces_in_line(on, _GAP_ROWS, 1, _END_ROWS)
+    places = np.column_stack([np.rint(stripes.x_px[stripe, row]), row]).astype(np.int32)
+    begins = [*begins.tolist(), len(row)]
+    chains = [places[one:other] for one, other in pairwise(begins)]
+    if chains:
+        cv2.polylines(drawn, chains, isClosed=False, color=1)
     return drawn
 
 
@@ -583,10 +619,41 @@ def _belt_between(stripes: StripeMap, size: tuple[int, int], spacing_px: float) 
     return np.asarray(cv2.erode(filled, np.ones((2 * _END_ROWS + 1, 1), np.uint8)))
 
 
-def _pieces(on: Flags) -> list[Integers]:
-    """Give the rows of each piece of a stripe that is seen without a gap."""
-    rows = np.flatnonzero(on)
-    return np.split(rows, np.flatnonzero(np.diff(rows) > _GAP_ROWS) + 1)
+@kernel
+def pieces_in_line(
+    on: Flags, gap_rows: int, least_rows: int, end_rows: int
+) -> tuple[Integers, Integers, Integers]:
+    """Give stripe and row of the points of all pieces of stripes, and where each piece begins.
+
+    Parameters
+    ----------
+    on
+        (stripe, row) where a stripe is seen.
+    gap_rows
+        A piece goes on over so many rows that are missing.
+    least_rows, end_rows
+        Pieces of fewer points are left out; and of others, so many points at either end.
+    """
+    stripe, row = np.empty(on.size, np.int64), np.empty(on.size, np.int64)
+    first = np.empty(on.size, np.int64)
+    count = pieces = 0
+    for s in range(on.shape[0]):
+        begin, last = count, -1
+        for r in range(on.shape[1] + 1):
+            ends = r == on.shape[1] or (on[s, r] and r - last > gap_rows and count > begin)
+            if ends:
+                kept = count - begin - 2 * end_rows
+                if count - begin < least_rows or kept <= 0:
+                    count = begin
+                else:
+                    row[begin : begin + kept] = row[begin + end_rows : begin + end_rows + kept].copy()
+                    count, first[pieces] = begin + kept, begin
+                    pieces += 1
+                begin = count
+            if r < on.shape[1] and on[s, r]:
+                stripe[count], row[count], last = s, r, r
+                count += 1
+    return stripe[:count].copy(), row[:count].copy(), first[:pieces].copy()
 
 
 def _core(smooth: Floats) -> Flags:

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
 from roemetry_kernels.image_levels import median_of
-from roemetry_volume.footprint import area_of, around, evenly, normals_of
+from roemetry_volume.footprint import area_of, evenly, normals_of
 
 _NORMALS = 400
 """Of a contour of some 800 px: one every 2 px, about the image's own resolution across a blurred edge."""
@@ -119,20 +119,30 @@ class Edge(NamedTuple):
     scatter_px: float
 
 
+Image = NDArray[np.float32]
+_NO_IMAGE: Image = np.empty((0, 0), np.float32)
+
+
 class Scene(NamedTuple):
     """What a contour is searched in, (row, column) each."""
 
-    level: NDArray[np.float32]
+    level: Image
     """log(image / belt)."""
-    bounds: tuple[NDArray[np.float32], NDArray[np.float32]] | None
+    bounds: tuple[Image, Image] | None
     """1 where stripes show this product, and 1 where they show the belt or another product; None: nothing
     keeps an edge away."""
-    stripes: NDArray[np.float32] | None
+    stripes: Image | None
     """1 where a laser image's stripes were taken out; None: a plain-light image."""
     blur_px: float
     """By how much `level` was smoothed, standard deviation."""
     spacing_px: float
     """Distance of neighbouring stripes."""
+
+    @property
+    def marks(self) -> tuple[Image, Image, Image]:
+        """Bounds and stripes, as kernels take them: empty where there are none."""
+        product, belt = self.bounds or (_NO_IMAGE, _NO_IMAGE)
+        return product, belt, _NO_IMAGE if self.stripes is None else self.stripes
 
 
 def edge_around(scene: Scene, start: Floats) -> Edge | None:
@@ -155,7 +165,7 @@ def edge_around(scene: Scene, start: Floats) -> Edge | None:
     ring = _rounded(evenly(start, _NORMALS), _ROUND_START)
     ring = _widely(scene, ring)
     for _ in range(2):
-        ring = _steepest(scene, ring)
+        ring = steepest(scene.level, *scene.marks, ring)
     blur_px = math.hypot(_BLUR_PX, scene.blur_px)
     changed = 0.5
     if scene.stripes is None:
@@ -163,12 +173,13 @@ def edge_around(scene: Scene, start: Floats) -> Edge | None:
         changed = 0.5 if blur_px == sharp_px else 1.0
     else:
         scene = scene._replace(level=np.exp(scene.level))  # light adds up, its logarithm's noise does not
+    model = _model(blur_px)
     for _ in range(_FIT_ROUNDS):
-        ring, std_px, scatter_px = _kinked(_across(scene, ring), blur_px)
+        ring, std_px, scatter_px = kinked(*_across(scene, ring), model)
     unsure_px = _BIASED * max(scatter_px - _USUAL_SCATTER_PX, 0.0)
     if scene.stripes is None:
-        last = _across(scene, ring)
-        narrow, wide = (_kinked(last, share * blur_px)[0] for share in (1 - _BLUR_UNSURE, 1 + _BLUR_UNSURE))
+        last, unsure = _across(scene, ring), (1 - _BLUR_UNSURE, 1 + _BLUR_UNSURE)
+        narrow, wide = (kinked(*last, _model(share * blur_px))[0] for share in unsure)
         model_px = math.hypot(_LEAST_STD_PX, changed * _apart(narrow, wide))
     else:
         clear, open_px = _seen(scene, ring)
@@ -206,8 +217,9 @@ def unbound(scene: Scene, ring: Floats) -> Floats:
     """Give the edge near a ring that the image alone shows, whatever the stripes say."""
     scene = scene._replace(bounds=None)
     for _ in range(2):
-        ring = _steepest(scene, ring)
-    return _kinked(_across(scene, ring), math.hypot(_BLUR_PX, scene.blur_px))[0]
+        ring = steepest(scene.level, *scene.marks, ring)
+    found: Floats = kinked(*_across(scene, ring), _model(math.hypot(_BLUR_PX, scene.blur_px)))[0]
+    return found
 
 
 def _widely(scene: Scene, ring: Floats) -> Floats:
@@ -225,47 +237,100 @@ def _widely(scene: Scene, ring: Floats) -> Floats:
         fine, coarse, even = (
             cv2.GaussianBlur(level, (0, 0), px / coarser) for px in (_FINE_PX, _COARSE_PX, _EVEN_PX)
         )
-        ring = np.ascontiguousarray(ring[::coarser])
-        normal = _rounded(normals_of(ring, _NORMAL_REACH), _DIRECTION_ROUND / coarser)
-        normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
-        off = np.arange(-inwards * scene.spacing_px, outwards * scene.spacing_px, 1.0)
-        shut = _shut(scene.bounds, ring, normal, off)[:, ::coarser]
-        off = off[::coarser]
-        here, places = (ring - low + 0.5) / coarser - 0.5, off / coarser
-        sharp = _gradient(fine, here, normal, places, round(2.0 * _FINE_PX / coarser))
-        sharp -= _gradient(coarse, here, normal, places, round(2.0 * _COARSE_PX / coarser))
-        sharp = np.abs(_rounded(sharp, _COHERENT / coarser))
-        sharp[shut] = 0.0
-        clear = max(median_of(sharp.max(axis=1)), 1e-9)
-        cost = -np.minimum(sharp / clear, 1.0) - _OUTWARDS * off[None]
-        lit = sampled(even, here, normal, places + _LIT_PX / coarser)
-        cost += np.minimum(np.maximum(lit, 0.0) / _LIT, 1.0)
-        cost[shut] = 1.0
-        path = closed_path(cost, _WIDE_BEND, _WIDE_STEP)
-        moved = ring + _rounded(off[path][:, None], _WIDE_ROUND / coarser) * normal
-        ring = _rounded(evenly(moved, _NORMALS), 2.0)
+        ring = widely(
+            fine, coarse, even, *scene.marks[:2], np.ascontiguousarray(ring[::coarser]), low, coarser,
+            -inwards * scene.spacing_px, outwards * scene.spacing_px,
+        )  # fmt: skip
     return ring
 
 
-def _gradient(smooth: NDArray[np.float32], ring: Floats, normal: Floats, off: Floats, apart: int) -> Floats:
+@float_kernel
+def widely(
+    fine: Image, coarse: Image, even: Image, product: Image, belt: Image, ring: Floats, corner: Integers,
+    coarser: int, inwards_px: float, outwards_px: float,
+) -> Floats:  # fmt: skip
+    """Move a ring along its normals to where the fine gradient exceeds the coarse one most.
+
+    Parameters
+    ----------
+    fine, coarse, even
+        Part of the image smoothed at three scales, so many times coarser; `corner` is its first pixel.
+    product, belt
+        See `Scene.marks`.
+    ring
+        (n, 2) px.
+    corner, coarser
+        See above.
+    inwards_px, outwards_px
+        First distance from the ring that is looked at, and the one after the last.
+    """
+    n = ring.shape[0]
+    normal = smoothed_around(normals_of(ring, _NORMAL_REACH), bell(_DIRECTION_ROUND / coarser))
+    here = np.empty((n, 2))
+    for i in range(n):
+        length = max(math.sqrt(normal[i, 0] ** 2 + normal[i, 1] ** 2), 1e-9)
+        for k in range(2):
+            normal[i, k] /= length
+            here[i, k] = (ring[i, k] - corner[k] + 0.5) / coarser - 0.5
+    every = inwards_px + np.arange(math.ceil(outwards_px - inwards_px))
+    shut = shut_between(product, belt, ring, normal, every)[:, ::coarser]
+    off = every[::coarser].copy()
+    places = off / coarser
+    sharp = _gradient(fine, here, normal, places, round(2.0 * _FINE_PX / coarser))
+    sharp -= _gradient(coarse, here, normal, places, round(2.0 * _COARSE_PX / coarser))
+    sharp = smoothed_around(sharp, bell(_COHERENT / coarser))
+    lit = sampled(even, here, normal, places + _LIT_PX / coarser)
+    most = np.zeros(n)
+    for i in range(n):
+        for j in range(off.size):
+            sharp[i, j] = 0.0 if shut[i, j] else abs(sharp[i, j])
+            most[i] = max(most[i], sharp[i, j])
+    clear = max(median_of(most), 1e-9)
+    cost = np.empty((n, off.size))
+    for i in range(n):
+        for j in range(off.size):
+            dark = min(max(lit[i, j], 0.0) / _LIT, 1.0)
+            cost[i, j] = 1.0 if shut[i, j] else dark - min(sharp[i, j] / clear, 1.0) - _OUTWARDS * off[j]
+    path = closed_path(cost, _WIDE_BEND, _WIDE_STEP)
+    moved = _moved(ring, normal, off[path], _WIDE_ROUND / coarser)
+    return smoothed_around(evenly(moved, _NORMALS), bell(2.0))
+
+
+@float_kernel
+def _gradient(smooth: Image, ring: Floats, normal: Floats, off: Floats, apart: int) -> Floats:
     """Give the fall of brightness outwards over so many places, at distances a place apart."""
     places = np.arange(off.size + apart) + (off[0] - 0.5 * apart)  # the ends of each are sampled once
     light = sampled(smooth, ring, normal, places)
-    return np.asarray((light[:, : off.size] - light[:, apart:]) / apart)
+    return (light[:, : off.size] - light[:, apart:]) / apart
 
 
-def _steepest(scene: Scene, ring: Floats) -> Floats:
-    """Move a ring along its normals to where light changes most."""
-    normal = normals_of(ring, _NORMAL_REACH)
-    off = np.arange(-_NARROW_PX, _NARROW_PX + _STEP_PX, _STEP_PX)
-    before, after = (sampled(scene.level, ring, normal, off + shift) for shift in (-_SMOOTH_PX, _SMOOTH_PX))
-    told = _beside(scene.stripes, ring, normal)
-    change = np.abs(_rounded(before - after, _COHERENT))
-    cost = np.asarray(-change / max(median_of(change[told].max(axis=1)), 1e-9), np.float64)
-    cost[~told] = 0.0
-    cost[_shut(scene.bounds, ring, normal, off)] += 1.0
+@float_kernel
+def _moved(ring: Floats, normal: Floats, off: Floats, round_: float) -> Floats:
+    """Move (n,) points of a ring along their normals by so much, smoothed around it."""
+    even = smoothed_around(off.reshape(-1, 1), bell(round_))
+    return ring + even * normal
+
+
+@float_kernel
+def steepest(level: Image, product: Image, belt: Image, stripes: Image, ring: Floats) -> Floats:
+    """Move a ring along its normals to where light changes most; images as in `Scene.marks`."""
+    n, normal, off = ring.shape[0], normals_of(ring, _NORMAL_REACH), _NARROW_OFF_PX
+    change = sampled(level, ring, normal, off - _SMOOTH_PX) - sampled(level, ring, normal, off + _SMOOTH_PX)
+    change = np.abs(smoothed_around(change, bell(_COHERENT)))
+    told = _beside(stripes, ring, normal)
+    most, count = np.empty(n), 0
+    for i in range(n):
+        if told[i]:
+            most[count] = change[i].max()
+            count += 1
+    usual = max(median_of(most[:count]), 1e-9)
+    shut = shut_between(product, belt, ring, normal, off)
+    cost = np.zeros((n, off.size))
+    for i in range(n):
+        for j in range(off.size):
+            cost[i, j] = (-change[i, j] / usual if told[i] else 0.0) + shut[i, j]
     path = closed_path(cost, _NARROW_BEND, 2)
-    return evenly(ring + _rounded(off[path][:, None], _NARROW_ROUND) * normal, ring.shape[0])
+    return evenly(_moved(ring, normal, off[path], _NARROW_ROUND), n)
 
 
 class _Across(NamedTuple):
@@ -285,14 +350,32 @@ class _Across(NamedTuple):
 
 def _across(scene: Scene, ring: Floats) -> _Across:
     """Look across a ring, once for all models of the brightness there."""
+    return _Across(ring, *across(scene.level, *scene.marks, ring))
+
+
+@float_kernel
+def across(
+    level: Image, product: Image, belt: Image, stripes: Image, ring: Floats
+) -> tuple[Floats, Floats, Flags, Flags]:
+    """Give what `_Across` holds beside the ring."""
     normal = normals_of(ring, _NORMAL_REACH)
-    light = _rounded(sampled(scene.level, ring, normal, _OFF_PX), _FIT_COHERENT)
-    told = _beside(scene.stripes, ring, normal)
-    return _Across(ring, normal, light, told, _shut(scene.bounds, ring, normal, _PLACES_PX))
+    light = smoothed_around(sampled(level, ring, normal, _OFF_PX), bell(_FIT_COHERENT))
+    shut = shut_between(product, belt, ring, normal, _PLACES_PX)
+    return normal, light, _beside(stripes, ring, normal), shut
 
 
-def _kinked(across: _Across, blur_px: float) -> tuple[Floats, float, float]:
+@float_kernel
+def kinked(
+    ring: Floats, normal: Floats, light: Floats, told: Flags, shut: Flags, model: Floats
+) -> tuple[Floats, float, float]:
     """Move a ring to where the brightness has its kink.
+
+    Parameters
+    ----------
+    ring, normal, light, told, shut
+        See `_Across`.
+    model
+        See `_model`.
 
     Returns
     -------
@@ -306,20 +389,22 @@ def _kinked(across: _Across, blur_px: float) -> tuple[Floats, float, float]:
         shadow as dark as the rim noise decides where the kink is, and the residual does not show it: this
         does.
     """
-    ring, normal, light, told, shut = across
-    cost, spread = left_over(light, _model(blur_px), _PLACES_PX.size)
+    (n, places), first = shut.shape, _PLACES_PX[0]
+    free, spread = left_over(light, model, places)
     usual = median_of(spread[told]) or 1.0
-    cost[~told] = 0.0
-    free = cost.copy()
-    cost[shut] += usual
-    path = closed_path(cost / usual, _FIT_BEND, 2)
-    exact, each, best = between_places(free, path)
-    even = _rounded((_PLACES_PX[0] + _SEARCH_STEP_PX * exact)[:, None], _FIT_ROUND)
+    cost = np.empty((n, places))
+    for i in range(n):
+        for j in range(places):
+            if not told[i]:
+                free[i, j] = 0.0
+            cost[i, j] = (free[i, j] + (usual if shut[i, j] else 0.0)) / usual
+    exact, each, best = between_places(free, closed_path(cost, _FIT_BEND, 2))
+    even = smoothed_around((first + _SEARCH_STEP_PX * exact).reshape(-1, 1), bell(_FIT_ROUND))
     clear = told & np.isfinite(each)
-    usual = median_of(each[clear]) if clear.any() else math.inf
+    usual = median_of(each[clear]) if clear.any() else np.inf
     std = _SEARCH_STEP_PX * math.sqrt(usual / (_OFF_PX.size - _TERMS) * _ALIKE_PX / _length(ring))
-    scatter = float((_PLACES_PX[best] - even[:, 0])[told].std())
-    return evenly(ring + even * normal, ring.shape[0]), std, scatter
+    scatter = (_PLACES_PX[best] - even[:, 0])[told].std()
+    return evenly(ring + even * normal, n), std, scatter
 
 
 def _blur_of(across: _Across, usual_px: float) -> float:
@@ -340,7 +425,8 @@ def _blur_of(across: _Across, usual_px: float) -> float:
 
 _OFF_PX = np.arange(-_REACH_PX, _REACH_PX + 0.5 * _STEP_PX, _STEP_PX)
 _PLACES_PX = np.arange(-_SEARCH_PX, _SEARCH_PX + 0.5 * _SEARCH_STEP_PX, _SEARCH_STEP_PX)
-"""Distances from the ring where brightness is sampled, and where the edge may be."""
+_NARROW_OFF_PX = np.arange(-_NARROW_PX, _NARROW_PX + _STEP_PX, _STEP_PX)
+"""Distances from the ring where brightness is sampled, where the edge may be, and of the narrow search."""
 
 
 @lru_cache(maxsize=16)
@@ -388,7 +474,7 @@ def _seen(scene: Scene, ring: Floats) -> tuple[float, float]:
     known = shares > 0.0
     clear = known & (np.abs(steps) * np.sqrt(shares) > _CLEAR * noise)
     off = np.arange(-0.6 * scene.spacing_px, scene.spacing_px, 1.0)
-    open_px = (~_shut(scene.bounds, ring, normal, off)).sum(axis=1)
+    open_px = (~shut_between(*scene.marks[:2], ring, normal, off)).sum(axis=1)
     unknown = ~clear & (open_px > _DECIDED_PX)
     return float(clear.sum() / max(known.sum(), 1)), float((unknown * open_px).mean()) / math.sqrt(12.0)
 
@@ -405,26 +491,17 @@ def _steps(scene: Scene, ring: Floats) -> tuple[Floats, Floats]:
     return mean / np.maximum(share, 0.02), share
 
 
-def _shut(
-    bounds: tuple[NDArray[np.float32], NDArray[np.float32]] | None,
-    ring: Floats,
-    normal: Floats,
-    off_px: Floats,
-) -> Flags:
-    """Say where (normal, distance) no outline runs: within what is seen of the product, beyond the belt."""
-    if bounds is None:
-        return np.zeros((ring.shape[0], off_px.size), np.bool_)
-    shut: Flags = shut_between(*bounds, ring, normal, off_px)
-    return shut
-
-
-def _beside(stripes: NDArray[np.float32] | None, ring: Floats, normal: Floats) -> Flags:
+@float_kernel
+def _beside(stripes: Image, ring: Floats, normal: Floats) -> Flags:
     """Say which points of a ring lie beside stripes, not on them; all, where that would leave too few."""
-    if stripes is None:
-        return np.ones(ring.shape[0], np.bool_)
-    on = sampled(stripes, ring, normal, np.array([-2.0, 0.0, 2.0])).max(axis=1)
-    free: Flags = on < 0.5
-    return free if free.mean() > _FREE_LEAST else np.ones(ring.shape[0], np.bool_)
+    free = np.ones(ring.shape[0], np.bool_)
+    if stripes.size:
+        on = sampled(stripes, ring, normal, np.array([-2.0, 0.0, 2.0]))
+        for i in range(free.size):
+            free[i] = on[i].max() < 0.5
+        if not free.mean() > _FREE_LEAST:
+            free[:] = True
+    return free
 
 
 def _apart(one: Floats, other: Floats) -> float:
@@ -432,26 +509,34 @@ def _apart(one: Floats, other: Floats) -> float:
     return (abs(area_of(other)) - abs(area_of(one))) / _length(one)
 
 
+@float_kernel
 def _length(ring: Floats) -> float:
-    step = around(ring, 1) - ring
-    return float(np.sqrt((step * step).sum(axis=1)).sum())
+    total, last = 0.0, ring.shape[0] - 1
+    for k in range(ring.shape[0]):
+        step_x, step_y = ring[k, 0] - ring[last, 0], ring[k, 1] - ring[last, 1]
+        total += math.sqrt(step_x * step_x + step_y * step_y)
+        last = k
+    return total
 
 
 def _rounded(values: Floats, sigma: float) -> Floats:
     """Smooth (n, k) values around the ring."""
-    smooth: Floats = smoothed_around(np.ascontiguousarray(values), _bell(sigma))
+    smooth: Floats = smoothed_around(np.ascontiguousarray(values), bell(sigma))
     return smooth
 
 
-@lru_cache(maxsize=16)
-def _bell(sigma: float) -> Floats:
+@float_kernel
+def bell(sigma: float) -> Floats:
+    """Give weights of a Gaussian out to four standard deviations, 1 in all."""
     half = int(4.0 * sigma + 0.5)
-    weights = np.exp(-0.5 * (np.arange(-half, half + 1) / sigma) ** 2)
-    return np.asarray(weights / weights.sum())
+    weights = np.empty(2 * half + 1)
+    for k in range(weights.size):
+        weights[k] = math.exp(-0.5 * ((k - half) / sigma) ** 2)
+    return weights / weights.sum()
 
 
 @inlined
-def _light_at(image: NDArray[np.float32], x: float, y: float) -> float:
+def _light_at(image: Image, x: float, y: float) -> float:
     """Give an image between its pixels; beyond its border, the border's."""
     rows, columns = image.shape
     x, y = min(max(x, 0.0), columns - 1.0), min(max(y, 0.0), rows - 1.0)
@@ -463,7 +548,7 @@ def _light_at(image: NDArray[np.float32], x: float, y: float) -> float:
 
 
 @float_kernel
-def sampled(image: NDArray[np.float32], ring: Floats, normal: Floats, off_px: Floats) -> Floats:
+def sampled(image: Image, ring: Floats, normal: Floats, off_px: Floats) -> Floats:
     """Sample an image (n, m) at distances along the normals of a ring."""
     n, m = ring.shape[0], off_px.size
     out = np.empty((n, m))
@@ -528,16 +613,13 @@ def between_places(cost: Floats, path: Integers) -> tuple[Floats, Floats, Intege
 
 
 @float_kernel
-def shut_between(
-    product: NDArray[np.float32],
-    belt: NDArray[np.float32],
-    ring: Floats,
-    normal: Floats,
-    off_px: Floats,
-) -> Flags:
+def shut_between(product: Image, belt: Image, ring: Floats, normal: Floats, off_px: Floats) -> Flags:
     """Say where (normal, distance) no outline runs: up to the last product, and from belt beyond it on."""
     n, m = ring.shape[0], off_px.size
     shut = np.ones((n, m), np.bool_)
+    if not product.size:
+        shut[:] = False
+        return shut
     for i in range(n):
         first = m
         while first > 0:
@@ -566,7 +648,7 @@ def smoothed_around(values: Floats, weights: Floats) -> Floats:
     return out
 
 
-@kernel
+@float_kernel
 def closed_path(cost: Floats, bend: float, most: int) -> Integers:
     """Find the path of least cost once around.
 
@@ -588,15 +670,15 @@ def closed_path(cost: Floats, bend: float, most: int) -> Integers:
     n, m = cost.shape
     # beyond either end stands what no path takes, so that all places are treated alike, by vectors
     before, best = np.full(m + 2 * most, np.inf), np.empty(m)
-    step = np.empty(m, np.int8)
+    step = np.empty(m, np.int64)  # as wide as costs are, or they are not taken several at once
     came = np.zeros((2 * n, m), np.int8)
     before[most : most + m] = cost[0]
     for k in range(1, 2 * n):
         best[:] = np.inf
         for d in range(2 * most + 1):
-            dear = bend * (d - most) ** 2
+            dear, ahead = bend * (d - most) ** 2, before[d : d + m]
             for j in range(m):
-                way = before[j + d] + dear
+                way = ahead[j] + dear
                 less = way < best[j]
                 best[j] = way if less else best[j]
                 step[j] = d if less else step[j]

@@ -25,11 +25,12 @@ from numpy.typing import NDArray
 
 from roemetry.records import Frame, Reason
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry_kernels.image_levels import median_of
+from roemetry_kernels.compiling import float_kernel
+from roemetry_kernels.image_levels import median_of, plain_layout
 
 _LEVELS = 3
 """Halvings of the images: on the last, motions of some ten pixels are found; on the first, tenths of one."""
-_FINE, _COARSE = 3, 13
+_WIDTHS = _FINE, _COARSE = 3, 13
 """Boxes, in pixels of a level, over which noise is averaged and light varies: texture lies between."""
 _APART = 2  # of averages over three pixels every second tells nearly all
 _ALIKE = _FINE**2 / _APART
@@ -141,8 +142,9 @@ def image_motion(laser: NDArray[Any], plain: NDArray[Any], product: Flags) -> Im
         (row, column) where the product may be: its light differs too much.
     """
     log_plain = logarithm(plain if plain.ndim == 2 else plain.mean(axis=2))
-    free = (_beside_stripes(laser) & ~product & _belt_like(log_plain)).astype(np.float32)
-    weighted, share, bright = (_halved(image) for image in (laser * free, free, log_plain))
+    free = _beside_stripes(laser) & ~product & _belt_like(log_plain)
+    weighted, share = halved_where(plain_layout(laser), free)
+    bright = _halved(log_plain)
     finest = _Seen.of(weighted, share), _clipped(_texture(bright))
     still = np.zeros(4)
     found = _fitted(*finest, still, 2.0, rounds=1)
@@ -191,6 +193,22 @@ def _halved(image: Singles) -> Singles:
     )
 
 
+@float_kernel
+def halved_where(laser: NDArray[Any], free: Flags) -> tuple[Singles, Singles]:
+    """Give (row // 2, column // 2) means of four pixels: of grey levels where free, and of that."""
+    rows, columns = laser.shape[0] // 2, laser.shape[1] // 2
+    weighted, share = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
+    for i in range(rows):
+        for j in range(columns):
+            many, total = 0, 0
+            for k in range(4):
+                row, column = 2 * i + k // 2, 2 * j + k % 2
+                many += free[row, column]
+                total += np.int64(laser[row, column]) * free[row, column]
+            weighted[i, j], share[i, j] = 0.25 * total, 0.25 * many
+    return weighted, share
+
+
 def _beside_stripes(laser: NDArray[Any]) -> Flags:
     import cv2
 
@@ -216,18 +234,12 @@ def _belt_like(log_plain: Singles) -> Flags:
     return np.asarray(cv2.resize(odd, (columns, rows), interpolation=cv2.INTER_NEAREST) == 0)
 
 
-def _texture(image: Singles, share: Singles | None = None) -> Singles:
-    """Give what varies over less than light does and more than noise, (row, column).
-
-    `image` holds sums of grey levels, of which a pixel's `share` was seen; None: all.
-    """
+def _texture(image: Singles) -> Singles:
+    """Give what varies over less than light does and more than noise, (row, column)."""
     import cv2
 
-    def mean(width: int) -> Singles:
-        total = cv2.blur(image, (width, width))
-        return total if share is None else total / np.maximum(cv2.blur(share, (width, width)), 1e-3)
-
-    return np.asarray(mean(_FINE) - mean(_COARSE))
+    fine, coarse = (cv2.blur(image, (width, width)) for width in _WIDTHS)
+    return np.asarray(fine - coarse)
 
 
 class _Seen(NamedTuple):
@@ -246,12 +258,33 @@ class _Seen(NamedTuple):
         """Take it from a level: sums of grey levels, and of how much of each pixel was seen."""
         import cv2
 
-        there = (share > 0.0) & (cv2.blur(share, (_FINE, _FINE)) > 0.5)
-        place = np.flatnonzero(there)[::_APART]
-        rows, columns = share.shape
-        row, column = np.divmod(place.astype(np.int32), np.int32(columns))
-        x, y = (at.astype(np.float32) - 0.5 * (size - 1) for at, size in ((column, columns), (row, rows)))
-        return cls(_clipped(_texture(weighted, share).ravel()[place]), place, x, y, share.shape)
+        fine, coarse = ([cv2.blur(image, (width, width)) for image in (weighted, share)] for width in _WIDTHS)
+        value, place, x, y = texture_seen(share, *fine, *coarse)
+        return cls(_clipped(value), place, x, y, share.shape)
+
+
+@float_kernel
+def texture_seen(
+    share: Singles, fine: Singles, fine_share: Singles, coarse: Singles, coarse_share: Singles
+) -> tuple[Singles, Integers, Singles, Singles]:
+    """Give the fields of `_Seen` but for the size, of sums and shares averaged over both boxes."""
+    rows, columns = share.shape
+    value, place = np.empty(share.size, np.float32), np.empty(share.size, np.int64)
+    x, y = np.empty(share.size, np.float32), np.empty(share.size, np.float32)
+    least, seen, count = np.float32(1e-3), 0, 0
+    for row in range(rows):
+        for column in range(columns):
+            if not (share[row, column] > 0.0 and fine_share[row, column] > 0.5):
+                continue
+            seen += 1
+            if (seen - 1) % _APART:
+                continue
+            value[count] = fine[row, column] / max(fine_share[row, column], least)
+            value[count] -= coarse[row, column] / max(coarse_share[row, column], least)
+            place[count], x[count] = row * columns + column, column - 0.5 * (columns - 1)
+            y[count] = row - 0.5 * (rows - 1)
+            count += 1
+    return value[:count].copy(), place[:count].copy(), x[:count].copy(), y[:count].copy()
 
 
 def _clipped(values: Singles) -> Singles:
@@ -293,24 +326,15 @@ def _fitted(
     if dim.place.size < _ALIKE * _CLEAR**2:
         return None
     steep = [cv2.Sobel(bright, cv2.CV_32F, *way, ksize=3) for way in ((1, 0), (0, 1))]
-    slope = np.empty((4, dim.place.size), np.float32)
     reach = every * dim.size[1] / 2.0
     for turn in range(rounds):
         one = _compared(dim, bright, motion, every)
-        left = one.b - one.gain * one.a
-        std = math.sqrt(float(left @ left) / left.size)
-        weight = np.minimum(1.0, _ODD * std / np.maximum(np.abs(left), 1e-9))
         if turn < 8:  # later steps change the slopes by little
-            for k in (0, 1):
-                slope[k] = _sampled(steep[k], dim, motion, every) * np.float32(one.gain / 8.0)
-            slope[2] = slope[1] * dim.x - slope[0] * dim.y
-            slope[3] = slope[0] * dim.x + slope[1] * dim.y
-            slope[:2] /= every
-        weighed = slope * weight
-        normal = (weighed @ slope.T).astype(np.float64)
+            slopes, slope_gain = [_sampled(way, dim, motion, every) for way in steep], one.gain / 8.0
+        normal, right, std = step_sums(one, *slopes, slope_gain, dim.x, dim.y, every)
         if one.gain <= 0.0 or np.linalg.cond(normal) > 1e14:
             return None
-        step = np.linalg.solve(normal, (weighed @ left).astype(np.float64))
+        step = np.linalg.solve(normal, right)
         motion = motion + step
         if np.abs(step * [1.0, 1.0, reach, reach]).max() < 0.02:
             break
@@ -319,20 +343,63 @@ def _fitted(
     return None if found is None else found._replace(covariance=covariance)
 
 
+@float_kernel
+def step_sums(
+    one: _Compared, along: Singles, down: Singles, slope_gain: float, x: Singles, y: Singles, every: float
+) -> tuple[Floats, Floats, float]:
+    """Give (4, 4) and (4,) normal equations of a step of the motion, and the scatter of what is left.
+
+    Parameters
+    ----------
+    one
+        Both textures at the places seen.
+    along, down, slope_gain
+        Slopes of the bright texture along x and y, and what they are multiplied with.
+    x, y, every
+        See `_Seen`, and how wide a pixel of the level is, px.
+    """
+    normal, right, slope, squares = np.zeros((4, 4)), np.zeros(4), np.empty(4), 0.0
+    for k in range(x.size):
+        left = one.b[k] - one.gain * one.a[k]
+        squares += left * left
+    std = math.sqrt(squares / x.size)
+    for k in range(x.size):
+        left = one.b[k] - one.gain * one.a[k]
+        weight = min(1.0, _ODD * std / max(abs(left), 1e-9))
+        right_way, down_way = slope_gain * along[k], slope_gain * down[k]
+        slope[0], slope[1] = right_way / every, down_way / every
+        slope[2], slope[3] = down_way * x[k] - right_way * y[k], right_way * x[k] + down_way * y[k]
+        for i in range(4):
+            right[i] += weight * slope[i] * left
+            for j in range(i + 1):
+                normal[i, j] += weight * slope[i] * slope[j]
+    for i in range(4):
+        for j in range(i):
+            normal[j, i] = normal[i, j]
+    return normal, right, std
+
+
+@float_kernel
+def part_sums(one: _Compared, place: Integers, rows: int, columns: int) -> Floats:
+    """Give (4, part) the number of places in each part, and sums there of a·b, a² and b²."""
+    sums = np.zeros((4, _PARTS[0] * _PARTS[1]))
+    for k in range(place.size):
+        row, column = place[k] // columns, place[k] % columns
+        part = row * _PARTS[0] // rows * _PARTS[1] + column * _PARTS[1] // columns
+        sums[0, part] += 1.0
+        sums[1, part] += one.a[k] * one.b[k]
+        sums[2, part] += one.a[k] * one.a[k]
+        sums[3, part] += one.b[k] * one.b[k]
+    return sums
+
+
 def _parts(dim: _Seen, bright: Singles, motion: Floats, every: float) -> ImageMotion | None:
     """Compare the textures as a whole and part by part; None where neither is alike.
 
     The gain is that of the parts that are alike: of a torn frame the others would lower it.
     """
     one, (rows, columns) = _compared(dim, bright, motion, every), dim.size
-    part_x, part_y = (
-        np.arange(size) * parts // size for size, parts in ((columns, _PARTS[1]), (rows, _PARTS[0]))
-    )
-    of_part = (part_y[:, None] * _PARTS[1] + part_x).ravel()[dim.place]
-    count, both, of_a, of_b = (
-        np.bincount(of_part, weights, _PARTS[0] * _PARTS[1])
-        for weights in (None, one.a * one.b, one.a**2, one.b**2)
-    )
+    count, both, of_a, of_b = part_sums(one, dim.place, rows, columns)
     scale = np.sqrt(count / _ALIKE) / np.sqrt(np.maximum(of_a * of_b, 1e-12))
     alike = both * scale > _CLEAR
     whole = both.sum() / np.sqrt(max(of_a.sum() * of_b.sum(), 1e-12)) * math.sqrt(count.sum() / _ALIKE)

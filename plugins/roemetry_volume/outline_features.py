@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.records.arrays import Floats
+from roemetry_kernels.compiling import kernel
 from roemetry_volume.footprint import area_of
 
 _CUTS, _MARGIN = 41, 0.06  # of the long axis: cuts that give the mid-line, and what is left out at its ends
@@ -48,10 +49,11 @@ def features_of(xy_px: Floats, pixels: NDArray[Any], redrawn: Sequence[Floats] =
     """
     import cv2
 
-    middle, width = _mid_line(xy_px)
+    s, v = _along(xy_px)
+    middle, width = mid_line(s, v)
     found = {
         "area_px2": abs(area_of(xy_px)),
-        "length_px": float(np.ptp(_along(xy_px)[0])),
+        "length_px": float(np.ptp(s)),
         "width_px": width,
         **_convexity(xy_px, redrawn),
         **_bending(middle),
@@ -97,21 +99,24 @@ def _along(xy: Floats) -> tuple[Floats, Floats]:
     return off @ axes[:, 1], off @ axes[:, 0]
 
 
-def _mid_line(xy: Floats) -> tuple[Floats, float]:
-    """Middles of cuts across the long axis, (m, 2) along and across; and the width of the widest."""
-    s, v = _along(xy)
-    after_s, after_v = np.roll(s, -1), np.roll(v, -1)
-    low, high = float(s.min()), float(s.max())
+@kernel
+def mid_line(s: Floats, v: Floats) -> tuple[Floats, float]:
+    """Give middles of cuts across the long axis, (m, 2) along and across; and the width of the widest."""
+    low, high, last = s.min(), s.max(), s.size - 1
     inset = _MARGIN * (high - low)
-    at = np.linspace(low + inset, high - inset, _CUTS)[:, None]
-    cut = (s <= at) != (after_s <= at)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = v + (at - s) / (after_s - s) * (after_v - v)
-    least, most = (np.where(cut, crossing, off) for off in (np.inf, -np.inf))
-    lower, upper = least.min(axis=1), most.max(axis=1)
-    met = cut.sum(axis=1) >= 2
-    widest = float((upper - lower)[met].max(initial=0.0))
-    return np.column_stack([at[met], 0.5 * (lower + upper)[met]]), widest
+    middle, met, widest = np.empty((_CUTS, 2)), 0, 0.0
+    for k in range(_CUTS):
+        at = low + inset + k * ((high - inset - low - inset) / (_CUTS - 1))
+        least, most, cuts = np.inf, -np.inf, 0
+        for j in range(s.size):
+            ahead = j + 1 if j < last else 0
+            if (s[j] <= at) != (s[ahead] <= at):
+                crossing = v[j] + (at - s[j]) / (s[ahead] - s[j]) * (v[ahead] - v[j])
+                least, most, cuts = min(least, crossing), max(most, crossing), cuts + 1
+        if cuts >= 2:
+            middle[met, 0], middle[met, 1] = at, 0.5 * (least + most)
+            met, widest = met + 1, max(widest, most - least)
+    return middle[:met].copy(), widest
 
 
 def _bending(middle: Floats) -> dict[str, float]:

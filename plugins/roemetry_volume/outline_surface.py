@@ -20,6 +20,7 @@ from roemetry_volume.slice_estimators import (
     reasons_of,
 )
 from roemetry_volume.slice_table import Slices, slices_of
+from roemetry_volume.spline import add_points
 from roemetry_volume.surface_fit import LONG_AXIS, Fused, fuse, plate_through, without_slice
 from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume, underside_reasons
 
@@ -300,8 +301,6 @@ def _per_mm_of_rim(fused: Fused) -> float:
     A border that is placed higher on its line of sight moves inwards by the ray's tilt; where the camera
     sees the wall, the border is the wall's foot and stays.
     """
-    from roemetry_volume.surface_fit import add_points
-
     knots, upright = fused.knots, fused.rim.upright
     over = (np.sign(knots.u) * np.sqrt(np.abs(knots.u)) if upright else knots.u) - _STEP_MM
     fall = (over * np.abs(over) if upright else over) - knots.u
@@ -314,8 +313,6 @@ def _per_mm_of_rim(fused: Fused) -> float:
 
 
 def _rim_right(fused: Fused, rim: Floats, values: Floats) -> Floats:
-    from roemetry_volume.surface_fit import add_points
-
     change = np.zeros_like(fused.plate.right)
     unused = np.zeros((3 * (fused.plate.grid[4] + 3) + 4, change.size))
     add_points(

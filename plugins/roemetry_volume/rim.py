@@ -174,7 +174,7 @@ _LEAST_ROOT_MM = 0.25  # a root's slope is infinite at 0: nearer the rim a misfi
 _LEVEL_MM2 = 0.25  # a surface that falls by less than half a millimetre ends in an edge, as a box does
 
 
-@kernel
+@float_kernel
 def rim_heights(
     distance_mm: Floats, z_mm: Floats, first: Integers, size: Integers, std_mm: float
 ) -> tuple[Floats, Floats, Floats]:
@@ -224,7 +224,7 @@ def rim_heights(
     return rim, spread, upright
 
 
-@kernel
+@float_kernel
 def _misfit(z: Floats, d: Floats, rim: float) -> tuple[float, float]:
     """Sum of squared misfits in height of the best α ≥ 0 and β for one rim height, mm²; share of α·d."""
     dd, dq, qq, du, qu = 0.0, 0.0, 0.0, 0.0, 0.0

@@ -8,14 +8,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roemetry.records import Outline, Product, sight_lines
+from roemetry.records import Outline, Product, Profiles
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.view import View
 from roemetry_kernels.compiling import float_kernel, kernel
+from roemetry_kernels.lens import sight_lines
 from roemetry_kernels.robust_fit import solve
 from roemetry_kernels.slices import body_curves
-from roemetry_volume.footprint import Border, area_of, border_at, evenly, inside_by, nodes_within
-from roemetry_volume.rim import Rim, StripePoints, ends_of, rim_at, rim_of
+from roemetry_volume.footprint import (
+    Border,
+    area_of,
+    border_at,
+    evenly,
+    inside_by,
+    nodes_within,
+    placed_border,
+)
+from roemetry_volume.rim import Rim, StripePoints, ends_of, fitted_rim, rim_at
+from roemetry_volume.spline import Grid, add_points, bending, values_at
 
 LONG_AXIS = 0.4
 _POINTS = 400
@@ -113,16 +123,31 @@ def points_of(product: Product, view: View | None = None, outline: Outline | Non
     product, and is no part of its surface: left out, as are slices of which nothing was seen. So is, with an
     outline, what is seen beyond a gap at the end of a slice and appears outside of that: a speck.
     """
-    profiles = product.profiles
-    curves = body_curves(profiles, product.number)
+    profiles, number = product.profiles, product.number
+    if view is None or outline is None:
+        return _points_of(profiles, number)
+    loose, xyz_mm = _loose_of(profiles, number)
+    outside_px = -inside_by(outline.xy_px, view.project(xyz_mm)) if loose.size else np.empty(0)
+    specks = loose[outside_px > _ASTRAY_PX + _ASTRAY_SIGMAS * outline.xy_std_px]
+    return _points_of(profiles, number, tuple(specks.tolist()))
+
+
+@lru_cache(maxsize=8)
+def _loose_of(profiles: Profiles, number: int) -> tuple[Integers, Floats]:
+    """Give what is seen at the ends of a product's slices before a gap: (n,) which points, (n, 3) mm."""
+    curves = body_curves(profiles, number)
+    loose = np.flatnonzero(loose_ends(curves.slice, profiles.seen[curves.slice, curves.point]))
+    return loose, profiles.xyz_mm[curves.slice[loose], curves.point[loose]]
+
+
+@lru_cache(maxsize=8)
+def _points_of(profiles: Profiles, number: int, specks: tuple[int, ...] = ()) -> StripePoints:
+    """Give them of a product's slices; where its outline alone has moved they are mostly the same."""
+    curves = body_curves(profiles, number)
     slices, index = curves.slice, curves.point
-    seen, xyz = profiles.seen[slices, index], profiles.xyz_mm[slices, index]
-    if view is not None and outline is not None:
-        loose = np.flatnonzero(loose_ends(slices, seen))
-        if loose.size:
-            outside_px = -inside_by(outline.xy_px, view.project(xyz[loose]))
-            seen[loose[outside_px > _ASTRAY_PX + _ASTRAY_SIGMAS * outline.xy_std_px]] = False
-    held = held_points(slices, seen, xyz[:, 2])
+    seen = profiles.seen[slices, index]
+    seen[list(specks)] = False
+    held = held_points(slices, seen, profiles.xyz_mm[slices, index, 2])
     slices, index = slices[held], index[held]
     begins = np.ones(slices.size, np.bool_)
     begins[1:] = slices[1:] != slices[:-1]
@@ -233,16 +258,16 @@ def fuse(product: Product, view: View, outline: Outline, start: Start | None = N
     settled_mm = _SETTLED_MM if start is None else _FOLLOWED_MM
     for _ in range(_ROUNDS if start is None else _ROUNDS_ON):
         contour = (border.xy_mm - centre) @ turn
-        coarse = contour[::2].copy()
-        rim = rim_of(points, ends, place, inside_by(coarse, place[ends[0]]))
-        knots = _knots(points, place, rim, coarse)
+        found = under_dome(points.xyz_mm, points.slice, place, *ends, contour)
+        rim, knots = Rim(*found[:4]), Knots(*found[4:])
         if start is None:
             open_end = _open_ends(knots, contour, (border.outward @ turn)[:, 0])
         plate = _plate(knots, contour, open_end)
-        height, fall = _at_border(plate, rim, contour, border, (centre, turn), open_end, wall_shows)
-        moved = border_at(silhouette, height, fall)
-        step = np.abs(moved.xy_mm - border.xy_mm).max()
-        border = moved
+        height, fall, step, *placed = border_beside(
+            plate.coefficients, plate.grid, rim.coefficients, rim.scale_mm, rim.upright, contour, turn,
+            open_end, wall_shows, *silhouette, border.xy_mm, border.outward, border.tilt,
+        )  # fmt: skip
+        border = Border(*placed)
         if step < settled_mm:
             break
     contour = (border.xy_mm - centre) @ turn
@@ -260,10 +285,18 @@ def axes_of(xy: Floats) -> tuple[Floats, Floats]:
     return centre, np.column_stack([long, [-long[1], long[0]]])
 
 
-def _knots(points: StripePoints, place: Floats, rim: Rim, contour: Floats) -> Knots:
-    return Knots(
-        *dome_knots(points.xyz_mm, place, points.slice, rim.coefficients, rim.scale_mm, rim.upright, contour)
+@float_kernel
+def under_dome(
+    xyz_mm: Floats, slices: Integers, place: Floats, index: Integers, first: Integers, size: Integers,
+    contour: Floats,
+) -> tuple[Any, ...]:  # fmt: skip
+    """Give the fields of `Rim`, then those of `Knots`, of a product's points and ends within a contour."""
+    coarse = contour[::2].copy()
+    fit, scale, std, upright = fitted_rim(
+        xyz_mm[index, 2], place, index, first, size, inside_by(coarse, place[index])
     )
+    s, v, u, weight, of = dome_knots(xyz_mm, place, slices, fit, scale, upright, coarse)
+    return fit, scale, std, upright, s, v, u, weight, of
 
 
 @float_kernel
@@ -302,27 +335,22 @@ def _open_ends(knots: Knots, contour: Floats, outward_s: Floats) -> Any:
     slice, and, beyond the next one, what faces along the product: a slice at a slant runs over the edge.
     """
     is_open = np.zeros(contour.shape[0], np.bool_)
-    slices = np.unique(knots.slice)
-    if slices.size < 4:
-        return is_open
     along = LONG_AXIS * contour[:, 0]
-    for outer, inner in ((slices[0], slices[1]), (slices[-1], slices[-2])):
+    for end in (0, 1):
+        kind, outer, inner = end_kind(knots.s, knots.v, knots.u, knots.weight, knots.slice, end)
+        if kind == _FALLS:  # nearly always
+            continue
         mine, next_one = knots.slice == outer, np.flatnonzero(knots.slice == inner)
         next_one = next_one[np.argsort(knots.v[next_one])]
         v, s, weight = knots.v[mine], knots.s[mine], knots.weight[mine]
         out = np.sign(s.mean() - knots.s[next_one].mean())
         past = (along - np.interp(contour[:, 1], knots.v[next_one], knots.s[next_one])) * out
-        if float(knots.u[mine].max()) > _UPRIGHT * float(knots.u[next_one].max()) > _OVER_RIM:
+        if kind == _UPRIGHT_END:
             is_open |= (outward_s * out > _FACING) & (past > 0.0)
             continue
         beside = (v >= knots.v[next_one[0]]) & (v <= knots.v[next_one[-1]])
-        across = float(np.ptp(knots.v[next_one]))
-        if not beside.any() or float(np.ptp(knots.s[next_one])) > LONG_AXIS * across:
-            continue
         level = float(np.average(knots.u[mine], weights=weight))
-        before, inner_s = (np.interp(v[beside], knots.v[next_one], x[next_one]) for x in (knots.u, knots.s))
-        if level <= _OVER_RIM or float(knots.u[mine][beside].mean()) <= _OPEN_RATIO * float(before.mean()):
-            continue
+        inner_s = np.interp(v[beside], knots.v[next_one], knots.s[next_one])
         step = float((s[beside] - inner_s).mean())
         # the outline beyond the outer slice, which may cross the product at a slant
         lean = np.polyfit(v, s, 1) if np.ptp(v) > 1.0 else np.array([0.0, s.mean()])
@@ -338,26 +366,72 @@ def _open_ends(knots: Knots, contour: Floats, outward_s: Floats) -> Any:
     return is_open
 
 
+_FALLS, _UPRIGHT_END, _IN_DOUBT = range(3)
+
+
+@kernel
+def end_kind(
+    s: Floats, v: Floats, u: Floats, weight: Floats, slices: Integers, end: int
+) -> tuple[int, int, int]:
+    """Say whether a product falls to an end, and which slices are the outer and the next one there.
+
+    Of fields of `Knots`, slice after slice. With fewer than four slices it falls.
+    """
+    first, count = np.empty(s.size + 1, np.int64), 0
+    for k in range(s.size):
+        if k == 0 or slices[k] != slices[k - 1]:
+            first[count] = k
+            count += 1
+    first[count] = s.size
+    if count < 4:
+        return _FALLS, -1, -1
+    one, other = (0, 1) if end == 0 else (count - 1, count - 2)
+    mine, beyond = slice(first[one], first[one + 1]), slice(first[other], first[other + 1])
+    outer, inner = slices[first[one]], slices[first[other]]
+    if u[mine].max() > _UPRIGHT * u[beyond].max() > _OVER_RIM:
+        return _UPRIGHT_END, outer, inner
+    order = np.argsort(v[beyond])
+    at_v, at_s, at_u = v[beyond][order], s[beyond][order], u[beyond][order]
+    level, whole, high, below, beside = 0.0, 0.0, 0.0, 0.0, 0
+    for k in range(first[one], first[one + 1]):
+        level += weight[k] * u[k]
+        whole += weight[k]
+        if at_v[0] <= v[k] <= at_v[-1]:
+            j = min(max(np.searchsorted(at_v, v[k], side="right"), 1), at_v.size - 1)
+            wide = at_v[j] - at_v[j - 1] if at_v.size > 1 else 0.0
+            share = (v[k] - at_v[j - 1]) / wide if wide > 0.0 else 0.0
+            below += at_u[j - 1] + share * (at_u[j] - at_u[j - 1])
+            high += u[k]
+            beside += 1
+    slants = at_s.max() - at_s.min() > LONG_AXIS * (at_v[-1] - at_v[0])
+    falls = level / whole <= _OVER_RIM or high <= _OPEN_RATIO * below
+    return (_FALLS if beside == 0 or slants or falls else _IN_DOUBT), outer, inner
+
+
 def _plate(knots: Knots, contour: Floats, open_end: Any) -> Plate:
     rim = contour[~open_end][::2]
     return plate_through(knots, LONG_AXIS * rim[:, 0], rim[:, 1], np.full(rim.shape[0], _RIM_WEIGHT))
 
 
-def _at_border(
-    plate: Plate,
-    rim: Rim,
-    contour: Floats,
-    border: Border,
-    frame: tuple[Floats, Floats],
-    open_end: Any,
-    wall_shows: bool,
-) -> tuple[Floats, Floats]:
-    """Height of the edge that made the outline, and how the dome falls to it (α, mm), along the border."""
+@float_kernel
+def border_beside(
+    coefficients: Floats, grid: Grid, rim: Floats, scale_mm: tuple[float, float], upright: bool,
+    contour: Floats, turn: Floats, open_end: Flags, wall_shows: bool, start: Floats, way: Floats,
+    xy_mm: Floats, outward: Floats, tilt: Floats,
+) -> tuple[Floats, Floats, float, Floats, Floats, Floats]:  # fmt: skip
+    """Give heights and falls along the border, how far it moves by them, mm, and the fields of its `Border`.
+
+    `start` and `way` are the silhouette's lines of sight; `xy_mm`, `outward` and `tilt` the border before.
+    """
+    across = np.empty_like(outward)
+    for k in range(tilt.size):
+        for n in range(2):
+            across[k, n] = outward[k, 0] * turn[0, n] + outward[k, 1] * turn[1, n]
     height, fall = edge_heights(
-        *(plate.coefficients, plate.grid, rim.coefficients, rim.scale_mm, rim.upright),
-        *(contour, border.outward @ frame[1], border.tilt, open_end, wall_shows),
+        coefficients, grid, rim, scale_mm, upright, contour, across, tilt, open_end, wall_shows
     )
-    return height, fall
+    xy, normal, lean = placed_border(start, way, height, fall)
+    return height, fall, np.abs(xy - xy_mm).max(), xy, normal, lean
 
 
 @float_kernel
@@ -373,7 +447,10 @@ def edge_heights(
     open_end: Flags,
     wall_shows: bool,
 ) -> tuple[Floats, Floats]:
-    """Give (n,) what `_at_border` says, of a contour and its normals (n, 2) along and across the product."""
+    """Give (n,) height of the edge that made the outline, and how the dome falls to it (α, mm).
+
+    Of a contour and its normals (n, 2), along and across the product.
+    """
     n = tilt.size
     height, fall = rim_at(rim, scale_mm, contour[:, 0], contour[:, 1]), np.zeros(n)
     inner_s = LONG_AXIS * (contour[:, 0] - _PROBE_MM * outward[:, 0])
@@ -462,7 +539,7 @@ class Plate:
     """A fitted plate."""
 
     grid: Any
-    """Of the spline, see `roemetry_volume.surface_fit.Grid`."""
+    """Of the spline, see `roemetry_volume.spline.Grid`."""
     course: Floats
     coefficients: Floats
     """course, coefficients: of the quadric through all points, and of the whole, as the spline's."""
@@ -575,124 +652,3 @@ def without_slice(plate: Plate, knots: Knots, slice_: int) -> Floats:
     off = knots.u[mine] - values_at(plate.course, plate.grid, s, v)
     add_points(band, right, plate.grid, s, v, off, -knots.weight[mine])
     return plate.course + _solved(_factor(band), right)
-
-
-Grid = tuple[float, float, float, int, int]
-"""Place of the first cell's corner along s and v, the cells' side, cells along s and along v."""
-
-
-@kernel
-def bending(grid: Grid, weight: float, ridge: float) -> Floats:
-    """Give the thin plate's bending energy, ∫ f_ss² + 2 f_sv² + f_vv², of the spline's coefficients.
-
-    Parameters
-    ----------
-    grid
-        See `Grid`; a spline on it has (cells + 3) coefficients each way, those along v running fastest.
-    weight
-        What the energy is multiplied with.
-    ridge
-        Added to the diagonal, which keeps the system solvable where no point is near.
-
-    Returns
-    -------
-    ndarray, shape (bandwidth + 1, coefficients)
-        Lower band of the matrix as `scipy.linalg.cholesky_banded` takes it.
-    """
-    _, _, side, cells_s, cells_v = grid
-    high = cells_v + 3
-    band = np.zeros((3 * high + 4, (cells_s + 3) * high))
-    band[0, :] = ridge
-    flat, slope, bend = _unit_grams()
-    for a in range(4):
-        for b in range(4):
-            for c in range(4):
-                for d in range(4):
-                    # a, c along s; b, d along v; lengths: two derivatives each way and one area
-                    part = bend[a, c] * flat[b, d] + 2.0 * slope[a, c] * slope[b, d]
-                    part = weight * (part + flat[a, c] * bend[b, d]) / (side * side)
-                    for i in range(cells_s):
-                        for j in range(cells_v):
-                            one = (i + a) * high + j + b
-                            other = (i + c) * high + j + d
-                            if one >= other:
-                                band[one - other, other] += part
-    return band
-
-
-@kernel
-def _unit_grams() -> tuple[Floats, Floats, Floats]:
-    """Integrals over one unit cell of products of the four cubics, of their slopes and of their bends."""
-    flat, slope, bend = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
-    nodes = (0.069431844202973712, 0.330009478207571868, 0.669990521792428132, 0.930568155797026287)
-    weights = (0.173927422568726929, 0.326072577431273071, 0.326072577431273071, 0.173927422568726929)
-    for k in range(4):
-        x = nodes[k]
-        f = _cubics(x)
-        g = (-0.5 * (1.0 - x) ** 2, 1.5 * x * x - 2.0 * x, -1.5 * x * x + x + 0.5, 0.5 * x * x)
-        h = (1.0 - x, 3.0 * x - 2.0, 1.0 - 3.0 * x, x)
-        for a in range(4):
-            for b in range(4):
-                flat[a, b] += weights[k] * f[a] * f[b]
-                slope[a, b] += weights[k] * g[a] * g[b]
-                bend[a, b] += weights[k] * h[a] * h[b]
-    return flat, slope, bend
-
-
-@kernel
-def _cubics(x: float) -> tuple[float, float, float, float]:
-    """Give the four uniform cubic B-splines at a place 0…1 of a cell."""
-    rest = 1.0 - x
-    return (
-        rest**3 / 6.0,
-        (3.0 * x**3 - 6.0 * x * x + 4.0) / 6.0,
-        (3.0 * rest**3 - 6.0 * rest * rest + 4.0) / 6.0,
-        x**3 / 6.0,
-    )
-
-
-@kernel
-def _cell(at: float, start: float, side: float, cells: int) -> tuple[int, float]:
-    place = (at - start) / side
-    cell = min(max(int(np.floor(place)), 0), cells - 1)
-    return cell, min(max(place - cell, 0.0), 1.0)
-
-
-@kernel
-def add_points(
-    band: Floats, right: Floats, grid: Grid, s: Floats, v: Floats, values: Floats, weights: Floats
-) -> None:
-    """Add weighted points to the normal equations."""
-    high = grid[4] + 3
-    number, part = np.empty(16, np.int64), np.empty(16)
-    for a in range(4):
-        for b in range(4):
-            number[4 * a + b] = a * high + b
-    for k in range(s.size):
-        i, x = _cell(s[k], grid[0], grid[2], grid[3])
-        j, y = _cell(v[k], grid[1], grid[2], grid[4])
-        f, g = _cubics(x), _cubics(y)
-        first = i * high + j
-        for a in range(4):
-            for b in range(4):
-                part[4 * a + b] = f[a] * g[b]
-        for a in range(16):
-            weighed = weights[k] * part[a]
-            right[first + number[a]] += weighed * values[k]
-            for b in range(a + 1):
-                band[number[a] - number[b], first + number[b]] += weighed * part[b]
-
-
-@kernel
-def values_at(coefficients: Floats, grid: Grid, s: Floats, v: Floats) -> Floats:
-    """Evaluate the surface at places (n,)."""
-    out = np.zeros(s.size)
-    high = grid[4] + 3
-    for k in range(s.size):
-        i, x = _cell(s[k], grid[0], grid[2], grid[3])
-        j, y = _cell(v[k], grid[1], grid[2], grid[4])
-        f, g = _cubics(x), _cubics(y)
-        for a in range(4):
-            for b in range(4):
-                out[k] += f[a] * g[b] * coefficients[(i + a) * high + j + b]
-    return out

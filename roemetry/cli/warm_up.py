@@ -18,7 +18,7 @@ from typing import Any
 
 from roemetry.config.resolve import ResolvedStage
 from roemetry.errors import FAULTS
-from roemetry.stages import Stage, VolumeEstimator
+from roemetry.stages import Classifier, Stage, VolumeEstimator
 
 
 def warm_up(
@@ -79,6 +79,8 @@ def _call(stage: Stage[Any]) -> None:
             product = outlined(HALF_ELLIPSOID)
             stage.redraw(product, stage.estimate(product))
             stage.surface(product)
+        if isinstance(stage, Classifier):
+            stage.relief(outlined(HALF_ELLIPSOID))
 
 
 def _kernels_of(stage: Stage[Any]) -> Iterator[Any]:

@@ -45,7 +45,7 @@ from roemetry.records.plan import (
     PlanShape,
     PlanTable,
 )
-from roemetry.records.product import Outline, Product, ProductTrace, Trace, sight_lines
+from roemetry.records.product import Outline, Product, ProductTrace, Trace
 from roemetry.records.profiles import Profiles
 from roemetry.records.reasons import Reason
 from roemetry.records.scan import Motion, ScanFigures

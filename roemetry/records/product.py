@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
 
 import numpy as np
 
@@ -41,12 +40,6 @@ class Outline(Shown):
         check = Checker(self)
         check.array("xy_px", np.float64, (None, 2))
         check.finish()
-
-
-@lru_cache(maxsize=8)
-def sight_lines(view: View, outline: Outline) -> tuple[Floats, Floats]:
-    """Give the lines of sight through an outline's points, as `View.rays` does: several stages ask."""
-    return view.rays(outline.xy_px)
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)

@@ -47,6 +47,7 @@ from roemetry.run.monte_carlo import (
     Scene,
     draw_models,
     lift_share,
+    moved_by,
     probability_of,
     rerun,
     shifted,
@@ -62,6 +63,8 @@ _NOISE_SHARE = 0.05
 points and mostly has less, which so few patterns know well enough, the whole to 2 %."""
 _HEIGHT_PATTERNS = 100
 """Patterns of noise in which the highest point is looked for: they know its scatter to 7 %."""
+_HEIGHTS_AT_ONCE = 100_000
+"""Noisy heights that are drawn together: a megabyte."""
 _FAR = 5.0
 """Standard deviations: what lies further below the highest point never is the highest."""
 _MODES_SHARE = 0.9
@@ -98,7 +101,9 @@ def linearise(products: tuple[ProductTrace, ...], scene: Scene, chain: Chain) ->
         return products
     rng = np.random.default_rng(0)
     drawn = Sampler(scene, chain, rng)
-    as_found = drawn.as_found()
+    as_found = {trace.product.number: trace.product for trace in products}
+    if isinstance(chain.triangulator, Placing):  # a scan's runs see the lines that were placed
+        as_found = dict(_unmoved(scene, drawn))
     still = {
         trace.product.number: rerun(
             chain, trace, as_found.get(trace.product.number), rng, model=False, graded=False
@@ -106,13 +111,15 @@ def linearise(products: tuple[ProductTrace, ...], scene: Scene, chain: Chain) ->
         for trace in products
     }
     runs: dict[int, list[_Run]] = {trace.product.number: [] for trace in products}
-    for cause, weight, make in _parts(scene, chain, drawn):
-        wanted = [
-            trace
-            for trace in products
-            if cause != PEAKS
-            or _noise_matters(trace, runs[trace.product.number], still[trace.product.number])
-        ]
+    noisy = products
+    for cause, weight, make in _parts(products, scene, chain, drawn):
+        if cause == PEAKS:
+            noisy = tuple(
+                trace
+                for trace in noisy
+                if _noise_matters(trace, runs[trace.product.number], still[trace.product.number])
+            )
+        wanted = noisy if cause == PEAKS else products
         above = make(1.0) if wanted else {}
         below: Mapping[int, Product] | None = None
         for trace in wanted:
@@ -141,7 +148,7 @@ class _Run:
     """None: not run."""
 
 
-def _parts(scene: Scene, chain: Chain, drawn: Sampler) -> Iterator[Part]:
+def _parts(products: tuple[ProductTrace, ...], scene: Scene, chain: Chain, drawn: Sampler) -> Iterator[Part]:
     """Give every part of every cause whose size is stated."""
     stripes, calibration, outlines, light = (
         scene.stripes,
@@ -161,7 +168,7 @@ def _parts(scene: Scene, chain: Chain, drawn: Sampler) -> Iterator[Part]:
             ),
         )
     if OUTLINE in drawn.causes:
-        yield OUTLINE, 1.0, drawn.with_outlines
+        yield OUTLINE, 1.0, lambda sign: {trace.product.number: _outlined(trace, sign) for trace in products}
     if light is not None:
         std_mm = light.std_mm
         yield (
@@ -171,14 +178,26 @@ def _parts(scene: Scene, chain: Chain, drawn: Sampler) -> Iterator[Part]:
         )
     if PEAKS in drawn.causes:
         for _ in range(_NOISE_PATTERNS):
-            noise = drawn.noise_px()
+            unit = drawn.patterns()  # always: what follows is drawn from the same numbers
             yield (
                 PEAKS,
                 1.0,
-                lambda sign, noise=noise: drawn.products(  # type: ignore[misc]
-                    shifted(stripes, noise, sign), calibration, outlines, offset_mm
+                lambda sign, unit=unit: drawn.products(  # type: ignore[misc]
+                    shifted(stripes, drawn.as_noise(unit), sign), calibration, outlines, offset_mm
                 ),
             )
+
+
+def _unmoved(scene: Scene, drawn: Sampler) -> Mapping[int, Product]:
+    """Give the products of a scene in which nothing has moved."""
+    offset_mm = 0.0 if scene.penetration is None else scene.penetration.offset_mm
+    return drawn.products(scene.stripes, scene.calibration, scene.outlines, offset_mm)
+
+
+def _outlined(trace: ProductTrace, sigmas: float) -> Product:
+    """Give a product with its outline moved outwards by so many standard deviations."""
+    outline = trace.product.outline
+    return trace.product if outline is None else replace(trace.product, outline=moved_by(outline, sigmas))
 
 
 def _modes(scene: Scene, chain: Chain) -> tuple[Floats, float]:
@@ -514,11 +533,13 @@ def _noise_of_height(product: Product, drawn: Sampler) -> float:
     near = np.flatnonzero((heights + _FAR * std_mm > product.height_max_mm).any(axis=0))
     window = slice(int(near[0]), int(near[-1]) + 1)
     heights, std_mm = heights[:, window], std_mm[:, window]
-    # NaN is no height: fmax passes over it
-    highest = [
-        float(np.fmax.reduce(heights + drawn.unit_noise(heights.shape) * std_mm, axis=None))
-        for _ in range(_HEIGHT_PATTERNS)
-    ]
+    slices, rows = heights.shape
+    highest: list[float] = []
+    while len(highest) < _HEIGHT_PATTERNS:  # many small patterns at once, of a scan's slices one by one
+        many = min(_HEIGHT_PATTERNS - len(highest), max(1, _HEIGHTS_AT_ONCE // heights.size))
+        noise = drawn.unit_noise((many * slices, rows)).reshape(many, slices, rows)
+        # NaN is no height: fmax passes over it
+        highest += np.fmax.reduce(heights + noise * std_mm, axis=(1, 2)).tolist()
     return math.hypot(np.std(highest, ddof=1), lift_share(float(np.mean(highest)) - product.height_max_mm))
 
 

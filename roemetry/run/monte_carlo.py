@@ -22,7 +22,6 @@ from roemetry.records import (
     Outline,
     Product,
     ProductTrace,
-    Profiles,
     Reason,
     StripeMap,
     Volume,
@@ -408,7 +407,6 @@ class Sampler:
         known[PENETRATION] = scene.penetration is not None
         self.causes = tuple(cause for cause, stated in known.items() if stated)
         self._bridges = [_bridges(one) for one in families]
-        self._as_found: Mapping[int, Product] | None = None
 
     def scenes(self, count: int, causes: tuple[str, ...]) -> Iterator[Mapping[int, Product]]:
         """Give drawn products by number, `count` times; what is no cause stays as it was found."""
@@ -427,24 +425,6 @@ class Sampler:
                 offset_mm = float(self._rng.normal(offset_mm, light.std_mm))
             yield self.products(stripes, calibration, outlines, offset_mm)
 
-    def as_found(self) -> Mapping[int, Product]:
-        """Give the products in which nothing has moved."""
-        if self._as_found is None:
-            scene, light = self._scene, self._scene.penetration
-            offset_mm = 0.0 if light is None else light.offset_mm
-            self._as_found = self.products(scene.stripes, scene.calibration, scene.outlines, offset_mm)
-        return self._as_found
-
-    def with_outlines(self, sign: float) -> Mapping[int, Product]:
-        """Give the products with their outlines moved outwards by so many standard deviations."""
-        moved = {}
-        for number, found in self.as_found().items():
-            outline = found.outline
-            if outline is not None:
-                outline = moved_by(outline, sign)
-            moved[number] = replace(found, outline=outline)
-        return moved
-
     def products(
         self,
         stripes: StripeMap,
@@ -458,7 +438,6 @@ class Sampler:
             profiles = triangulator.triangulate(stripes, calibration)
         except RoemetryError:
             return {}
-        profiles = _cut(profiles)
         if offset_mm:
             profiles = raise_surface(profiles, offset_mm)
         drawn = calibration is not self._scene.calibration
@@ -471,9 +450,17 @@ class Sampler:
 
         Of a grid there are those of the lines across, too.
         """
+        return self.as_noise(self.patterns())
+
+    def patterns(self) -> list[Floats]:
+        """Draw what `as_noise` makes noise of."""
+        return [self.unit_noise(std_px.shape) for std_px in self._std_px]
+
+    def as_noise(self, units: list[Floats]) -> tuple[Floats, ...]:
+        """Give errors as `noise_px` does, of such of standard deviation 1."""
         found = []
-        for std_px, bridges in zip(self._std_px, self._bridges, strict=True):
-            noise = self.unit_noise(std_px.shape) * std_px
+        for unit, std_px, bridges in zip(units, self._std_px, self._bridges, strict=True):
+            noise = unit * std_px
             stripe, gap, before, after, share = bridges
             noise[stripe, gap] = (1.0 - share) * noise[stripe, before] + share * noise[stripe, after]
             found.append(noise)
@@ -496,27 +483,14 @@ def shifted(stripes: StripeMap, noise_px: tuple[Floats, ...], sign: float = 1.0)
 
 def _bridges(stripes: StripeMap) -> tuple[Integers, Integers, Integers, Integers, Floats]:
     """Give bridged points: stripe, row, the seen rows before and after, how far between them it lies."""
-    parts = [np.empty((5, 0))]
-    bridged = ~stripes.seen & np.isfinite(stripes.x_px)
-    for stripe in np.flatnonzero(bridged.any(axis=1)).tolist():
-        seen, gap = np.flatnonzero(stripes.seen[stripe]), np.flatnonzero(bridged[stripe])
-        if not seen.size:
-            continue
-        at = np.searchsorted(seen, gap)
-        before, after = seen[np.maximum(at - 1, 0)], seen[np.minimum(at, seen.size - 1)]
-        share = np.clip((gap - before) / np.maximum(after - before, 1), 0.0, 1.0)
-        parts.append(np.stack([np.full(gap.size, float(stripe)), gap, before, after, share]))
-    joined = np.concatenate(parts, axis=1)
-    stripe_, row, first, last = joined[:4].astype(np.int64)
-    return stripe_, row, first, last, joined[4]
-
-
-def _cut(profiles: Profiles) -> Profiles:
-    """Keep the points from the first to the last on a product: a third of the draws' time is saved."""
-    lit = np.flatnonzero((profiles.product > 0).any(axis=0))
-    points = slice(int(lit[0]), int(lit[-1]) + 1) if lit.size else slice(0, 0)
-    fields = ("xyz_mm", "product", "seen", "x_px", "row_px", "height_std_mm")
-    return replace(profiles, **{name: getattr(profiles, name)[:, points] for name in fields})
+    seen, rows = stripes.seen, np.arange(stripes.rows)
+    stripe, gap = np.nonzero(~seen & np.isfinite(stripes.x_px) & seen.any(axis=1, keepdims=True))
+    last = np.maximum.accumulate(np.where(seen, rows, -1), axis=1)[stripe, gap]
+    next_ = np.minimum.accumulate(np.where(seen, rows, stripes.rows)[:, ::-1], axis=1)[:, ::-1][stripe, gap]
+    # beyond the outermost seen row both are that
+    before, after = np.where(last < 0, next_, last), np.where(next_ == stripes.rows, last, next_)
+    share = np.clip((gap - before) / np.maximum(after - before, 1), 0.0, 1.0)
+    return stripe, gap, before, after, share
 
 
 def _smoothed(noise: Floats, reach_rows: float) -> Floats:

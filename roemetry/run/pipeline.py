@@ -295,12 +295,14 @@ class Pipeline:
         return ProductTrace(product, volume, weight, grade, steps.absent)
 
     def _with_surface(self, found: ProductTrace) -> ProductTrace:
-        if found.volume is None:
-            return found
-        steps = _Steps(self.recipe, self._debug)
-        return replace(
-            found, surface=steps.do("surface", lambda: self._stages["volume"].surface(found.product))
-        )
+        """Add what is drawn of a product: the surface behind its volume, and that beside its grade."""
+        steps, stages, product = _Steps(self.recipe, self._debug), self._stages, found.product
+        if found.volume is not None:
+            found = replace(found, surface=steps.do("surface", lambda: stages["volume"].surface(product)))
+        if found.grade is not None:
+            relief = steps.do("relief", lambda: stages["classifier"].relief(product))
+            found = replace(found, grade=replace(found.grade, relief=relief))
+        return found
 
     def _decided(self, found: ProductTrace, doubt: Reason | None, seconds: dict[str, float]) -> ProductTrace:
         """Let the grader decide, on results that have their uncertainties."""

@@ -37,6 +37,7 @@ from roemetry.records import (
     Product,
     Profiles,
     Pyramid,
+    Relief,
     Samples,
     ScanLines,
     Sensor,
@@ -410,9 +411,14 @@ class Classifier(Stage[OptionsT]):
     def redraw(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Judge a product that has moved a little within what it may be wrong by.
 
-        Of the result only label, probability and features are used: what is drawn of it may be left out.
+        Of the result only label, probability and features are used.
         """
         return self.classify(product, rng=rng)
+
+    def relief(self, product: Product) -> Relief | None:
+        """Give the surface that is drawn beside a grade; None where this classifier looks at none."""
+        del product
+        return None
 
     @classmethod
     def fit(

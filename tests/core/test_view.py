@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roemetry.errors import DataError
+from roemetry.records import Outline
 from roemetry.records.view import View, distort, distortion_jacobian, undistort
 from roemetry.testing.scenes import LinearRig
-from roemetry_kernels.lens import distort_places, undistort_places
+from roemetry_kernels.lens import distort_places, sight_lines, undistort_places
 
 LENSES = {
     "none": [],
@@ -148,6 +149,15 @@ def test_beyond_the_fold_nothing_is_found_and_the_others_are() -> None:
     back = undistort(np.array([[farthest + 0.01, 0.0], [0.1, 0.05]]), strong)
     assert np.isnan(back[0]).all()
     assert distort(back[1:], strong)[0] == pytest.approx([0.1, 0.05], abs=1e-9)
+
+
+@pytest.mark.parametrize("lens", [*LENSES.values(), [-0.9, 0.0, 0.0, 0.0]], ids=[*LENSES, "folding"])
+def test_compiled_lines_of_sight_are_the_views(lens: list[float], rng: np.random.Generator) -> None:
+    """Of an outline, whichever way its lens is undone; none beyond a fold."""
+    view, xy_px = camera(lens), rng.uniform([-200.0, -200.0], [840.0, 680.0], (200, 2))
+    for ours, exact in zip(sight_lines(view, Outline(1, xy_px)), view.rays(xy_px), strict=True):
+        np.testing.assert_allclose(ours, exact, rtol=0, atol=1e-12)
+    assert np.isnan(exact).any() == (lens[:1] == [-0.9])
 
 
 def test_the_compiled_lens_is_the_same(rng: np.random.Generator) -> None:

@@ -155,7 +155,8 @@ def decided(
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     above = verdicts.height_mm > calibration.height_range_mm[1] + slack_mm[np.maximum(stripe, 0)]
     # what rises above the range out of a body within it is that body's, and the product is refused for it
-    above &= _mostly(above, body_of(peaks.row, stripe, rest))
+    if above.any():
+        above &= _mostly(above, body_of(peaks.row, stripe, rest))
     margin[above] = np.maximum(1.0 - _ABOVE_ODDS * (1.0 - margin[above]), 0.0)
     if np.count_nonzero(above) <= _ABOVE_SHARE_MIN * np.count_nonzero((stripe >= 0) & (stripe != rest.line)):
         stripe[above] = AMBIGUOUS
@@ -196,6 +197,8 @@ def _renumbered(verdicts: Verdicts, peaks: Peaks, rest: RestLines, px_per_mm: Fl
     """Give whole bodies the number that the fan's pattern says, where it says one."""
     shift, _ = numbered_by_pattern(peaks.row, peaks.x_px, verdicts.stripe, rest)
     moved = np.flatnonzero(shift)
+    if not moved.size:
+        return verdicts
     stripe, claims = verdicts.stripe.copy(), verdicts.claims.copy()
     evidence, dearer = verdicts.evidence.copy(), verdicts.dearer.copy()
     stripe[moved] += shift[moved]
@@ -230,7 +233,10 @@ def margin_of(dearer: Floats, evidence: Floats) -> Floats:
 def _counted(value: Floats, points: tuple[tuple[float, float], ...]) -> Floats:
     """Interpolate the logarithm of a share between points."""
     at, share = np.array(points).T
-    return np.asarray(np.exp(np.interp(value, at, np.log(share))))
+    # in most frames most labels lie beyond the last point
+    found, within = np.full(value.size, share[-1]), np.flatnonzero(~(value >= at[-1]))
+    found[within] = np.exp(np.interp(value[within], at, np.log(share)))
+    return found
 
 
 def _together(problem: Problem, stripe: Integers, counted: Flags) -> Integers:

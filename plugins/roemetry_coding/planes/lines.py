@@ -25,6 +25,7 @@ the image shows the projector or a lens folds the lines: then rows are taken as 
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -34,7 +35,8 @@ from roemetry.records import Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import View
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel, kernel
+from roemetry_kernels.lens import camera_of, rays_through
 
 _LINES_MAX_FACTOR = 4
 """More lines than so many times the rows: the base points nearly along the view; rows are taken instead."""
@@ -204,17 +206,38 @@ class _Sight(NamedTuple):
     forward: Floats
     side: Floats
     """base, forward, side: to the projector; square to it where the camera looks; and square to both."""
+    camera: Floats
+    """(12,) see `roemetry_kernels.lens.camera_of`."""
 
     def placed(self, xy_px: Floats) -> tuple[Floats, Floats, Floats]:
         """Give (point,) the angle about the base at which a pixel looks, rad, and a cotangent along it.
 
         And the (point, 3) direction itself.
         """
+        if self.camera.size:
+            return placed_by_camera(xy_px, self.camera, self.view.T_belt_camera, *self[1:4])
         way = self.view.rays(xy_px)[1]
         ahead, beside = way @ self.forward, way @ self.side
         with np.errstate(divide="ignore", invalid="ignore"):
             u = (way @ self.base) / np.hypot(ahead, beside)
         return np.arctan2(beside, ahead), u, way
+
+
+@float_kernel
+def placed_by_camera(
+    xy_px: Floats, camera: Floats, pose: Floats, base: Floats, forward: Floats, side: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Give what `_Sight.placed` does; `camera` as there, `pose` as `View.T_belt_camera`."""
+    ways = rays_through(xy_px, camera, pose)[1]
+    angle, u = np.empty(ways.shape[0]), np.empty(ways.shape[0])
+    for k in range(u.size):
+        along, ahead, beside = 0.0, 0.0, 0.0
+        for n in range(3):
+            along += ways[k, n] * base[n]
+            ahead += ways[k, n] * forward[n]
+            beside += ways[k, n] * side[n]
+        angle[k], u[k] = math.atan2(beside, ahead), along / math.sqrt(ahead * ahead + beside * beside)
+    return angle, u, ways
 
 
 @lru_cache(maxsize=4)
@@ -229,7 +252,7 @@ def _sight_of(view: View) -> _Sight | None:
     if np.linalg.norm(forward) < _PARALLEL:
         return None
     forward = np.asarray(forward / np.linalg.norm(forward))
-    return _Sight(view, base, forward, np.cross(base, forward))
+    return _Sight(view, base, forward, np.cross(base, forward), camera_of(view))
 
 
 class _Fan(NamedTuple):

@@ -78,7 +78,13 @@ def relative_light(row_start: Integers, amplitude: Floats) -> Floats:
                     beside[many] = amplitude[q]
                     many += 1
             if many > 0:
-                middle = median_of(beside[:many])
+                for k in range(1, many):  # so few are sorted where they stand
+                    one, m = beside[k], k
+                    while m > 0 and beside[m - 1] > one:
+                        beside[m] = beside[m - 1]
+                        m -= 1
+                    beside[m] = one
+                middle = 0.5 * (beside[(many - 1) // 2] + beside[many // 2])
                 if amplitude[p] < middle:
                     found[p] = amplitude[p] / middle
     return found
@@ -298,16 +304,23 @@ def _offsets_at_ends(
 ) -> Floats:
     """Give (stripe, 2) how far its belt lies beside its line at the image's top and bottom, px."""
     stripes, rows = rest_px.shape
-    found = np.full((stripes, 2), offset_px)
-    for side in range(2):
-        here = (row < outer) if side == 0 else (row >= rows - outer)
-        for s in range(stripes):
-            mine = np.flatnonzero(here & (line == s))
-            if mine.size >= _END_PEAKS_MIN:
-                off_px = np.empty(mine.size)
-                for k in range(mine.size):
-                    off_px[k] = x_px[mine[k]] - rest_px[s, row[mine[k]]]
-                found[s, side] = median_of(off_px)
+    found, count = np.full((stripes, 2), offset_px), np.zeros((stripes, 2), np.int64)
+    off_px = np.empty((stripes, 2, 0))
+    for counts in (True, False):
+        for p in range(row.size):
+            s, side = line[p], 0 if row[p] < outer else 1
+            if s < 0 or outer <= row[p] < rows - outer:
+                continue
+            if not counts:
+                off_px[s, side, count[s, side]] = x_px[p] - rest_px[s, row[p]]
+            count[s, side] += 1
+        if counts:
+            off_px = np.empty((stripes, 2, count.max() if count.size else 0))
+            count[:] = 0
+    for s in range(stripes):
+        for side in range(2):
+            if count[s, side] >= _END_PEAKS_MIN:
+                found[s, side] = median_of(off_px[s, side, : count[s, side]])
     return found
 
 

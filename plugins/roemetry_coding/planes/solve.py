@@ -346,15 +346,17 @@ def _arrive(
 ) -> int:
     """Lower the costs up to entry p by coming from the entries before it; give the next pair."""
     a, pair, step, forward = span.first, work.pair, work.step, work.forward
+    here = np.uint64(offset[p])
     while n < span.pair_end and pair[n, 1] == p:
-        q, c = pair[n, 0], pair[n, 2]
+        q, c = pair[n, 0], np.uint64(pair[n, 2])
         between = nothing[p - a] - nothing[q + 1 - a]
-        for s in range(count[p]):
+        there = np.uint64(offset[q])
+        for node in range(here, here + np.uint64(count[p])):
             least = np.inf
-            for t in range(count[q]):
-                least = min(least, forward[offset[q] + t] + step[c])
-                c += 1
-            forward[offset[p] + s] = min(forward[offset[p] + s], least + between)
+            for before in range(there, there + np.uint64(count[q])):
+                least = min(least, forward[before] + step[c])
+                c += np.uint64(1)
+            forward[node] = min(forward[node], least + between)
         n += 1
     return n
 
@@ -365,15 +367,16 @@ def _depart(
 ) -> int:
     """Lower the costs of the entries before p by going on to p; give the next pair."""
     a, pair, step, backward = span.first, work.pair, work.step, work.backward
+    here = np.uint64(offset[p])
     while n >= span.pair_first and pair[n, 1] == p:
-        q, c = pair[n, 0], pair[n, 2]
+        q, c = pair[n, 0], np.uint64(pair[n, 2])
         between = nothing[p - a] - nothing[q + 1 - a]
-        for s in range(count[p]):
-            later = backward[offset[p] + s] + between
-            for t in range(count[q]):
-                node = offset[q] + t
-                backward[node] = min(backward[node], later + step[c])
-                c += 1
+        there = np.uint64(offset[q])
+        for node in range(here, here + np.uint64(count[p])):
+            later = backward[node] + between
+            for before in range(there, there + np.uint64(count[q])):
+                backward[before] = min(backward[before], later + step[c])
+                c += np.uint64(1)
         n -= 1
     return n
 

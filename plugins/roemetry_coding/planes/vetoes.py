@@ -211,13 +211,45 @@ def nearly_belt(peaks: Peaks, stripe: Integers, rest: RestLines) -> Flags:
 
 def body_of(row: Integers, stripe: Integers, rest: RestLines) -> Integers:
     """Number (peak,) bodies, 0 for belt: what is off its own rest line and hangs together on the stripes."""
-    from scipy import ndimage
+    body: Integers = _bodies(row, stripe, rest.line, *rest.x_px.shape)
+    return body
 
-    off = np.flatnonzero((stripe >= 0) & (stripe != rest.line))
-    there = np.zeros(rest.x_px.shape, np.bool_)
-    there[stripe[off], row[off]] = True
-    body = np.zeros(stripe.size, np.int64)
-    body[off] = ndimage.label(there)[0][stripe[off], row[off]]
+
+@kernel
+def _bodies(row: Integers, stripe: Integers, line: Integers, stripes: int, rows: int) -> Integers:
+    """Give what `body_of` does: cells of (stripe, row) that touch along or across a stripe are one body."""
+    number = np.zeros((stripes + 1, rows + 1), np.int64)  # of cells; beyond the first of both nothing stands
+    for p in range(row.size):
+        if stripe[p] >= 0 and stripe[p] != line[p]:
+            number[stripe[p] + 1, row[p] + 1] = 1
+    same = np.zeros(row.size + 1, np.int64)
+    count = 0
+    for s in range(1, stripes + 1):
+        for r in range(1, rows + 1):
+            if not number[s, r]:
+                continue
+            above, beside = number[s, r - 1], number[s - 1, r]
+            if above == 0 and beside == 0:
+                count += 1
+                same[count] = number[s, r] = count
+                continue
+            one, other = max(above, beside), min(above, beside) or max(above, beside)
+            while same[one] != one:
+                one = same[one]
+            while same[other] != other:
+                other = same[other]
+            same[max(one, other)] = number[s, r] = min(one, other)
+    bodies = 0
+    for k in range(1, count + 1):  # the first number of a body stands before all others of it
+        if same[k] == k:
+            bodies += 1
+            same[k] = -bodies
+        else:
+            same[k] = same[same[k]]
+    body = np.zeros(row.size, np.int64)
+    for p in range(row.size):
+        if stripe[p] >= 0 and stripe[p] != line[p]:
+            body[p] = -same[number[stripe[p] + 1, row[p] + 1]]
     return body
 
 
@@ -239,81 +271,85 @@ def numbered_by_pattern(
     wrong
         (peak,) True where a body would be much evener under another number, but under more than one.
     """
-    stripes, rows = rest.x_px.shape
     bodies = body_of(row, stripe, rest)
-    body = np.flatnonzero(bodies)
-    place = stripe[body], row[body]
-    x, of = np.full((stripes, rows), np.nan), np.zeros((stripes, rows), np.int64)
-    x[place], of[place] = x_px[body], bodies[body]
-    bend = np.full((stripes, rows), np.nan)
-    bend[1:-1] = x[:-2] - 2.0 * x[1:-1] + x[2:]
-    own = np.full((stripes, rows), np.nan)
-    own[1:-1] = rest.x_px[:-2] - 2.0 * rest.x_px[1:-1] + rest.x_px[2:]
-    shift, wrong = np.zeros(x_px.size, np.int64), np.zeros(x_px.size, np.bool_)
-    for number in range(1, int(bodies.max(initial=0)) + 1):
-        here = np.where(of == number, bend, np.nan)
-        seen = np.flatnonzero(np.isfinite(here).sum(axis=1) >= _PATTERN_ROWS_MIN)
-        if seen.size < _PATTERN_STRIPES_MIN:
-            continue
-        left = _without_pattern(here[seen], seen, own)
-        evener = [other for other in left if other and _much_evener(left[other], left[0], seen)]
-        if not evener:
-            continue
-        mine = bodies == number
-        best = [
-            one
-            for one in evener
-            if all(other == one or _much_evener(left[one], left[other], seen) for other in left)
-        ]
-        if best:
-            shift[mine] = best[0]
-        else:
-            wrong[mine] = True
+    verdict = pattern_verdicts(row, x_px, stripe, bodies, rest.x_px)
+    shift: Integers = verdict[0][bodies]
+    wrong: Flags = verdict[1][bodies]
     return shift, wrong
 
 
-def _without_pattern(bend: Floats, seen: Integers, own: Floats) -> dict[int, Floats]:
-    """Give, by shift, the median bend of each seen stripe less that of the rest lines so many stripes on."""
-    there = np.isfinite(bend).any(axis=0)
-    bend, own = bend[:, there], own[:, there]
-    usual = _medians(bend)
-    left = {}
-    for shift in range(-_PATTERN_REACH, _PATTERN_REACH + 1):
-        at = seen + shift
-        inside = (at >= 1) & (at < own.shape[0] - 1)
-        if np.count_nonzero(inside) >= _PATTERN_STRIPES_MIN:
-            left[shift] = np.full(seen.size, np.nan)
-            left[shift][inside] = usual[inside] - _medians(own[at[inside]] + 0.0 * bend[inside])
-    return left
+@kernel
+def pattern_verdicts(
+    row: Integers, x_px: Floats, stripe: Integers, bodies: Integers, rest_px: Floats
+) -> tuple[Integers, Flags]:
+    """Give by body, of peaks' (peak,) `bodies` numbered from 1, what `numbered_by_pattern` says."""
+    stripes, rows = rest_px.shape
+    highest = bodies.max() if bodies.size else 0
+    shift, wrong = np.zeros(highest + 1, np.int64), np.zeros(highest + 1, np.bool_)
+    x, of = np.full((stripes, rows), np.nan), np.zeros((stripes, rows), np.int64)
+    for p in range(row.size):
+        if bodies[p]:
+            x[stripe[p], row[p]], of[stripe[p], row[p]] = x_px[p], bodies[p]
+    ways = 2 * _PATTERN_REACH + 1
+    bend, own, at = np.empty(rows), np.empty(rows), np.empty(rows, np.int64)
+    for number in range(1, highest + 1):
+        # (shift, stripe) median bend of each stripe less that of the rest lines so many stripes on
+        left, evener = np.full((ways, stripes), np.nan), np.zeros(ways, np.bool_)
+        for s in range(1, stripes - 1):
+            count = 0
+            for r in range(rows):
+                if of[s, r] == number:
+                    bent = x[s - 1, r] - 2.0 * x[s, r] + x[s + 1, r]
+                    if not np.isnan(bent):
+                        bend[count], at[count] = bent, r
+                        count += 1
+            if count < _PATTERN_ROWS_MIN:
+                continue
+            usual = median_of(bend[:count])
+            for way in range(ways):
+                t = s + way - _PATTERN_REACH
+                if 1 <= t < stripes - 1:
+                    for k in range(count):
+                        r = at[k]
+                        own[k] = rest_px[t - 1, r] - 2.0 * rest_px[t, r] + rest_px[t + 1, r]
+                    left[way, s] = usual - median_of(own[:count])
+        # ways in which too few stripes are told tell nothing, and `_much_evener` says so
+        for way in range(ways):
+            evener[way] = way != _PATTERN_REACH and _much_evener(left[way], left[_PATTERN_REACH])
+        for way in range(ways):
+            best = evener[way] and shift[number] == 0
+            for other in range(ways):
+                told = np.count_nonzero(~np.isnan(left[other])) >= _PATTERN_STRIPES_MIN
+                best = best and (other == way or not told or _much_evener(left[way], left[other]))
+            if best:
+                shift[number] = way - _PATTERN_REACH
+        wrong[number] = evener.any() and shift[number] == 0
+    return shift, wrong
 
 
 @kernel
-def _medians(lines: Floats) -> Floats:
-    """Give the median of each line's numbers, NaN of none."""
-    found, known = np.full(lines.shape[0], np.nan), np.empty(lines.shape[1])
-    for k in range(lines.shape[0]):
-        count = 0
-        for value in lines[k]:
-            if not np.isnan(value):
-                known[count] = value
-                count += 1
-        if count:
-            found[k] = median_of(known[:count])
-    return found
-
-
-def _much_evener(one: Floats, other: Floats, seen: Integers) -> bool:
+def _much_evener(one: Floats, other: Floats) -> bool:
     """Tell whether one labelling leaves much less than another, on the stripes that both can have."""
-    both = np.isfinite(one) & np.isfinite(other)
-    if np.count_nonzero(both) < _PATTERN_STRIPES_MIN:
+    both = np.flatnonzero(~(np.isnan(one) | np.isnan(other)))
+    if both.size < _PATTERN_STRIPES_MIN:
         return False
-    next_one = np.diff(seen[both]) == 1
     # both of what bends the surface at each stripe, and of its step from each stripe to the next
-    for of in (np.abs, lambda bend: np.abs(np.diff(bend)[next_one])):
-        small, large = (median_of(of(left[both])) for left in (one, other))
-        if not (small < _PATTERN_SHARE * large and large - small > _PATTERN_MIN_PX):
-            return False
-    return True
+    sizes, steps = np.empty((2, both.size)), np.empty((2, both.size))
+    many = 0
+    for k in range(both.size):
+        s = both[k]
+        sizes[0, k], sizes[1, k] = abs(one[s]), abs(other[s])
+        if k and s - both[k - 1] == 1:
+            steps[0, many], steps[1, many] = abs(one[s] - one[s - 1]), abs(other[s] - other[s - 1])
+            many += 1
+    return _is_small(sizes) and many > 0 and _is_small(steps[:, :many])
+
+
+@kernel
+def _is_small(left: Floats) -> bool:
+    """Compare the medians of the first and of the second line."""
+    small, large = median_of(left[0].copy()), median_of(left[1].copy())
+    return bool(small < _PATTERN_SHARE * large and large - small > _PATTERN_MIN_PX)
 
 
 _PATTERN_REACH = 3

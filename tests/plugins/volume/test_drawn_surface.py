@@ -44,4 +44,8 @@ def test_the_plate_over_the_outline_holds_the_volume() -> None:
     assert found.volume is not None and found.surface is not None
     assert volume_mm3(found.surface) == pytest.approx(found.volume.visible_mm3.value, rel=0.005)
     assert np.nanmin(found.surface.xyz_mm[..., 2]) >= 0.0
-    assert pipeline.trace(source.read(reference)).products[0].surface is None, "only where it is asked for"
+    (unasked,) = pipeline.trace(source.read(reference)).products
+    assert unasked.surface is None, "only where it is asked for"
+    assert found.grade is not None and unasked.grade is not None
+    assert found.grade.relief is not None and unasked.grade.relief is None, "nor is the relief"
+    assert found.grade.features == unasked.grade.features
