@@ -20,6 +20,7 @@ from roemetry_kernels.bridging import BridgingOptions, bridged
 from roemetry_kernels.consistency import refuse_uncodable
 from roemetry_kernels.rest_lines import calibrated_rest_lines
 from roemetry_kernels.tracing import trace_fragments
+from roemetry_paper.window_tracking import refuse_dark_rows
 
 _BELT_WINDOW_PX, _BODY_WINDOW_PX = 3, 14  # widths of the windows, as the paper has them
 _AREA_PX_MIN = 10  # bodies with fewer peaks are noise; the size is not in the print
@@ -72,9 +73,10 @@ class Literal(Coder[BridgingOptions]):
     Options = BridgingOptions
 
     def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
-        """Code the peaks of one frame of a calibrated camera."""
+        """Code the peaks of one frame of a calibrated camera; refuse what `window-tracking` refuses."""
         assert calibration is not None
         refuse_uncodable(peaks, calibration)
+        refuse_dark_rows(peaks)
         rest = calibrated_rest_lines(peaks, calibration)
         gap_rows, points = self.options.longest_gap_rows, self.options.smallest_product_points
         stripe = literal_codes(peaks, rest.x_px.shape[0])

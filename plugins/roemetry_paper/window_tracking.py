@@ -120,7 +120,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
                 hint="leave stripe_count out, or calibrate with all stripes",
             )
         if calibration is not None:
-            _refuse_dark_rows(peaks)
+            refuse_dark_rows(peaks)
         fragment, fragments = trace_fragments(peaks.row_start, peaks.x_px, options.body_window_px / 2)
         rest = (
             calibrated_rest_lines(peaks, calibration)
@@ -415,7 +415,7 @@ _NO_BELT = Reason(
 )
 
 
-def _refuse_dark_rows(peaks: Peaks) -> None:
+def refuse_dark_rows(peaks: Peaks) -> None:
     """Refuse an image in which a block of rows shows no stripe at all: the belt is lit beside products."""
     lit = np.flatnonzero(np.diff(peaks.row_start))
     gaps = np.diff(np.concatenate([[0], lit, [peaks.image_size[0] - 1]]))

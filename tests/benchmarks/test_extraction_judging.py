@@ -110,6 +110,19 @@ def test_recipes_of_others_are_given_their_best(recipe: str, rng) -> None:
     assert drawing.rms(found.error_px[judged]) < limit * drawing.rms(bound_px(drawn)[judged])
 
 
+def test_the_papers_rivals_do_what_the_paper_says(rng) -> None:
+    """Middles of runs above the level; a pixel higher than the next and not lower than the one before."""
+    pixels = rng.integers(0, 90, (300, 24), dtype=np.uint8)
+    runs, maxima = peers.numpy_runs(pixels), peers.numpy_maxima(pixels)
+    for y, levels in enumerate(pixels.tolist()):
+        bright = [x for x, level in enumerate(levels) if level > peers.LEVEL]
+        begins, ends = ([x for x in bright if x + step not in bright] for step in (-1, 1))
+        expected = [0.5 * (begin + end) for begin, end in zip(begins, ends, strict=True)]
+        assert runs.x_px[runs.row == y].tolist() == expected
+        tops = [x for x in range(1, 23) if levels[x - 1] <= levels[x] > levels[x + 1]]
+        assert maxima.x_px[maxima.row == y].tolist() == [x for x in tops if levels[x] >= peers.LEVEL]
+
+
 @pytest.mark.skipif(peers.COMPILER is None, reason="no C++ compiler")
 @pytest.mark.parametrize(("reach", "weighted"), [(2, False), (4, True)])
 def test_the_first_try_in_cpp_finds_what_it_should(reach: int, weighted: bool, rng) -> None:

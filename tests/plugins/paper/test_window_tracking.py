@@ -53,6 +53,10 @@ def test_the_papers_order_is_shifted_by_a_hidden_body(rig, rng) -> None:
     found = peaks_of(rig, x_px, rng)
     assert wrong_points(Literal().code(found, rig.calibration()), x_px) > 100
     assert wrong_points(WindowTracking().code(found, rig.calibration()), x_px) == 0
+    x_px[:, 80:120] = np.nan
+    for coder in (Literal(), WindowTracking()):  # what is compared is the coding, not what is refused
+        with pytest.raises(StageError, match="rows"):
+            coder.code(peaks_of(rig, x_px, rng), rig.calibration())
 
 
 def test_short_gaps_are_bridged_by_straight_lines_and_long_ones_are_not(rig) -> None:
