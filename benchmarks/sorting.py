@@ -78,6 +78,8 @@ def main() -> None:
             ("length, width", sizes),
             ("the same, `std` in the table", told(sizes)),
         ):
+            if not some:
+                continue
             decided, wrong, count = sorted_at_limits(some, given.cases, given.seed)
             share = f"{100 * wrong / count:.1f}"
             rows.append([name, what, *map(str, (products, count, decided, wrong)), share])
