@@ -82,7 +82,7 @@ class GradeTableOptions(StageOptions):
     )
     std: dict[str, Std] = Field(
         default_factory=dict,
-        description="standard uncertainty by quantity, in its unit, where the run states none",
+        description="standard uncertainty by quantity, in its unit, where the run does not state it in full",
     )
     unproven: Literal["undecided", "next"] = Field(
         default="undecided",
