@@ -61,16 +61,20 @@ def test_a_lie_is_what_the_disturbance_is_to_blame_for(
     assert case.lies == lies
 
 
+Skeins = tuple[Recipe, list[Scene], list[Case]]
+"""Recipe, scenes, and their cases undisturbed."""
+
+
 @pytest.fixture(scope="module")
-def skeins() -> tuple[Recipe, list[Scene], list[Case]]:
-    """Four skeins, two of them good and two with a dent, each with the one before; their cases undisturbed."""
+def skeins() -> Skeins:
+    """Four skeins, two of them good and two with a dent, each with the one before."""
     recipe = recipe_of(SKEINS, Path.cwd())
     taken = list(scenes_of(recipe, 4))
     scenes = [scene._replace(other=taken[k - 1]) for k, scene in enumerate(taken)]
     return recipe, scenes, [judged(recipe, scene, scene.laser, scene.plain) for scene in scenes]
 
 
-def disturbed(skeins: tuple[Recipe, list[Scene], list[Case]], name: str, size: float) -> list[Case]:
+def disturbed(skeins: Skeins, name: str, size: float) -> list[Case]:
     """Measure each skein disturbed, its undisturbed case beside it."""
     recipe, scenes, bases = skeins
     return [
@@ -93,14 +97,14 @@ def disturbed(skeins: tuple[Recipe, list[Scene], list[Case]], name: str, size: f
     ],
 )
 def test_a_plain_image_that_contradicts_the_stripes_is_laid_over_them(
-    skeins: tuple[Recipe, list[Scene], list[Case]], name: str, size: float
+    skeins: Skeins, name: str, size: float
 ) -> None:
     for case in disturbed(skeins, name, size):
         assert case.verdict == "held", case
         assert abs(case.error - case.base_error) < 0.005, case
 
 
-def test_the_plain_image_of_another_product_is_refused(skeins: tuple[Recipe, list[Scene], list[Case]]) -> None:
+def test_the_plain_image_of_another_product_is_refused(skeins: Skeins) -> None:
     for case in disturbed(skeins, "plain image of another product", 1.0):
         assert (case.verdict, case.base_verdict) == ("refused", "held"), case
 
@@ -109,7 +113,7 @@ def test_the_plain_image_of_another_product_is_refused(skeins: tuple[Recipe, lis
     ("name", "size"), [("gamma", float(np.log(2.0))), ("JPEG", 80.0), ("specks", 0.001), ("noise", 3.0)]
 )
 def test_a_degraded_image_holds_its_volume_and_turns_no_grade_into_another(
-    skeins: tuple[Recipe, list[Scene], list[Case]], name: str, size: float
+    skeins: Skeins, name: str, size: float
 ) -> None:
     for case in disturbed(skeins, name, size):
         assert case.grade in (case.base_grade, "unknown"), case
