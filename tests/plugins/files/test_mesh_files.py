@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roemetry import Recipe
 from roemetry.records import Surface
+from roemetry.run.batch import run_recipe
 from roemetry.testing.scenes import LinearRig
 from roemetry.testing.solids import HALF_CYLINDER, HALF_ELLIPSOID, outlined, product_of
 from roemetry_files.mesh_files import (
@@ -114,3 +116,12 @@ def test_other_programs_read_the_files(made, tmp_path: Path) -> None:
     corners = np.asarray(flat.vertices)[np.asarray(flat.triangles)]
     inside = np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
     assert inside == pytest.approx(mesh.volume_mm3, rel=1e-4)
+
+
+def test_an_estimator_without_a_surface_leaves_a_word_instead_of_files(line, tmp_path: Path) -> None:
+    run_recipe(Recipe.load(line(2), sets=["sinks=[mesh-files]"]), tmp_path / "out")
+    (only,) = (tmp_path / "out" / "meshes").iterdir()
+    told = only.read_text("utf-8").splitlines()
+    assert only.name == "not-made.txt"
+    assert [text.split(":")[0] for text in told] == ["p01#1", "p02#1"]
+    assert all("has no surface" in text for text in told)
