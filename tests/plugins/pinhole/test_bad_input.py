@@ -143,6 +143,14 @@ def test_a_board_described_wrongly_is_what_is_to_be_mended(tmp_path: Path) -> No
     assert "begin with what is said of" in (caught.value.hint or "")
 
 
+def test_of_one_image_the_hint_speaks_as_of_one(tmp_path: Path) -> None:
+    path = written(tmp_path, poses=1)
+    rig = Rig.load(path, sets=[f"board.columns={CHESS.columns + 1}", f"board.rows={CHESS.rows + 1}"])
+    with pytest.raises(CalibrationError) as caught:
+        calibrate(rig)
+    assert caught.value.hint == "begin with what is said of the image"
+
+
 def test_a_stripe_that_is_seen_in_one_pose_only_is_named(tmp_path: Path) -> None:
     shows = {number: range(STRIPES - 1) for number in range(8) if number != 4}
     path = written(tmp_path, stripes=shows)
