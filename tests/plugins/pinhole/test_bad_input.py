@@ -14,6 +14,8 @@ from roemetry.config.rig import Rig
 from roemetry.errors import CalibrationError
 from roemetry.records import Board
 from roemetry.records.calibration import Calibration
+from roemetry_pinhole.boards import Seen
+from roemetry_pinhole.initial_intrinsics import first_camera
 from tests.plugins.pinhole.board_set import (
     CHARUCO,
     CHESS,
@@ -143,11 +145,10 @@ def test_a_board_described_wrongly_is_what_is_to_be_mended(tmp_path: Path) -> No
     assert "begin with what is said of" in (caught.value.hint or "")
 
 
-def test_of_one_image_the_hint_speaks_as_of_one(tmp_path: Path) -> None:
-    path = written(tmp_path, poses=1)
-    rig = Rig.load(path, sets=[f"board.columns={CHESS.columns + 1}", f"board.rows={CHESS.rows + 1}"])
+def test_of_one_image_the_hint_speaks_as_of_one() -> None:
+    seen = Seen(left_out={"on_1.png": "it is blurred"})
     with pytest.raises(CalibrationError) as caught:
-        calibrate(rig)
+        first_camera(seen, (300, 400), "five", None, 1)
     assert caught.value.hint == "begin with what is said of the image"
 
 
