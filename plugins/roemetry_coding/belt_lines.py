@@ -454,7 +454,7 @@ def _at_the_edge(
         off = 0.0
         for k in range(4):
             off += edges[place, k] * motion[k]
-        if abs(off) > largest:
+        if not abs(off) <= largest:  # NaN stays: of no motion it is said that it is small
             worst, largest = place, abs(off)
     natural, rounded, scaled = np.empty(4), np.empty(4), np.empty((4, 4))
     for k in range(4):

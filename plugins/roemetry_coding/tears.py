@@ -141,7 +141,7 @@ def _largest_jump(
     # of product and belt: rows that count, the sum of their jumps, the row that jumps most, and its jump
     counted, total = np.zeros(2), np.zeros(2)
     worst, most = np.full(2, -1), np.zeros(2)
-    told_apart = stripes <= room and reach_px > _APART * belt_px
+    told_apart = reach_px > _APART * belt_px
     for row in range(rows - 1):
         block = min(row // sampled + 1, blocks)
         line, last = np.uint64(row * stripes), np.uint64((row + 1) * stripes - 1)

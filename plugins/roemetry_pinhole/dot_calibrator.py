@@ -21,6 +21,7 @@ from roemetry_pinhole.dot_lattice import numbered_on_boards, on_belt
 from roemetry_pinhole.dot_rays import METHOD, DotPoints, adjusted_rays, places_of, rays_of, view_of
 from roemetry_pinhole.geometry import CAMERA, ON_BELT, rays
 from roemetry_pinhole.initial_intrinsics import FirstCamera, belt_under, by_marks, first_camera, free_numbers
+from roemetry_pinhole.joint import poses_tried
 from roemetry_pinhole.known_files import read_camera
 from roemetry_pinhole.pinhole_plane import belt_pose
 
@@ -71,7 +72,7 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
         size = observed.observations[0].frame.size
         known = None if options.camera is None else read_camera(options.camera)
         free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(options.lens)
-        first = first_camera(seen, size, options.lens, known, len(seen.views))
+        first = first_camera(seen, size, options.lens, known, poses_tried(observed))
         if not any(view.on_belt for view in first.views):
             raise CalibrationError(
                 "nothing shows where the belt is",

@@ -89,7 +89,7 @@ def first_camera(
             raise CalibrationError(
                 f"the board is seen in {len(views)} of {tried} poses; {least} are the least"
                 + reasons(seen.left_out),
-                hint=f"begin with what is said of {alike} images"
+                hint=f"begin with what is said of {'the image' if alike == 1 else f'{alike} images'}"
                 if alike > tried / 2
                 else "take ten to twenty poses: all over the image, at all heights, tilted all ways round",
             )

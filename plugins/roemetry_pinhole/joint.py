@@ -176,7 +176,7 @@ def joint(
     board_views(observed, seen)
     if board is not None and reference_pose is not None:
         _on_reference(seen, reference_pose)
-    tried = _poses_tried(observed)
+    tried = poses_tried(observed)
     if not tried and not (by_solids and known is not None):
         raise CalibrationError("there is no image of the board", hint="name them in images.board")
     size = observed.observations[0].frame.size
@@ -246,7 +246,7 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
     seen = Seen()
     board_views(observed, seen)
     size = observed.observations[0].frame.size
-    first = first_camera(seen, size, lens, None, _poses_tried(observed))
+    first = first_camera(seen, size, lens, None, poses_tried(observed))
     free, count = free_numbers(lens), len(first.views)
     found = by_marks(first, free).adjusted()
     at = found.unknowns.camera
@@ -273,7 +273,8 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
     )
 
 
-def _poses_tried(observed: CalibrationSet) -> int:
+def poses_tried(observed: CalibrationSet) -> int:
+    """Give the number of poses of boards that images are named of, found or not."""
     return len({(one.shows, one.board, one.pose) for one in observed.observations if one.shows in _BOARDS})
 
 

@@ -263,6 +263,8 @@ def _cap(x: Floats, area: Floats) -> float:
 
 def _half(y: Floats, height: Floats) -> tuple[float, float]:
     """Give the area of half a section over the rim's height, and what lies beyond its outermost points."""
+    from scipy.integrate import trapezoid  # numpy has it from 2.0 on only
+
     on = np.flatnonzero(np.isfinite(height))
     if on.size < 2:
         return 0.0, 0.0
@@ -272,4 +274,4 @@ def _half(y: Floats, height: Floats) -> tuple[float, float]:
         z = np.ascontiguousarray(over[side])
         length = conic(np.abs(at[side] - at[side][0]), z, z.size, max(float(z[0]), 0.0), 0.0)[4]
         beyond += TO_RIM * length * float(z[0])
-    return float(np.trapezoid(over, at)), beyond
+    return float(trapezoid(over, at)), beyond

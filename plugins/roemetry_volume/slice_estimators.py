@@ -125,7 +125,9 @@ class SliceTrapezoid(SlicePchip):
 
     @staticmethod
     def _between(t_mm: Floats, area_mm2: Floats) -> float:
-        return float(np.trapezoid(area_mm2, t_mm))
+        from scipy.integrate import trapezoid  # numpy has it from 2.0 on only
+
+        return float(trapezoid(area_mm2, t_mm))
 
 
 def _between_std(t_mm: Floats, area_mm2: Floats, slope: Floats, between: float) -> float:

@@ -112,7 +112,8 @@ class Recipe(CheckedRecipe):
     ) -> Trace:
         """Give all that happened to one image in memory, stage by stage; parameters as `measure`.
 
-        `surfaces` keeps the surface behind each volume, which notebooks draw; it takes as long as the volume.
+        `surfaces` keeps the surface behind each volume and the relief beside each grade, which notebooks and
+        reports draw; the surface takes as long as the volume.
         """
         given: tuple[tuple[Role, NDArray[Any] | None], ...] = (
             ("laser", laser),

@@ -106,7 +106,7 @@ class Pipeline:
     def trace(self, acquisition: Acquisition, *, surfaces: bool = False) -> Trace:
         """Take one acquisition through the chain; whatever goes wrong stands in `Trace.absent`.
 
-        With `surfaces`, the surface behind each volume is kept for drawings.
+        With `surfaces`, the surface behind each volume and the relief beside each grade are kept to be drawn.
         """
         with nullcontext() if self.recipe.stage_timeout_s is None else timer_kept():
             return self._trace(acquisition, surfaces)
@@ -301,7 +301,8 @@ class Pipeline:
             found = replace(found, surface=steps.do("surface", lambda: stages["volume"].surface(product)))
         if found.grade is not None:
             relief = steps.do("relief", lambda: stages["classifier"].relief(product))
-            found = replace(found, grade=replace(found.grade, relief=relief))
+            if relief is not None:  # else what came with the grade, if anything did, stays
+                found = replace(found, grade=replace(found.grade, relief=relief))
         return found
 
     def _decided(self, found: ProductTrace, doubt: Reason | None, seconds: dict[str, float]) -> ProductTrace:

@@ -13,7 +13,7 @@ import roemetry
 from roemetry.errors import StageError
 from roemetry.records.calibration import Alignment
 from roemetry.testing.scenes import LinearRig, moved_rig
-from roemetry_coding.belt_lines import BeltLines
+from roemetry_coding.belt_lines import BeltLines, _at_the_edge
 from roemetry_coding.tears import tear_of
 
 HOME = Path(__file__).parents[3] / "recipes" / "herring_roe"
@@ -35,6 +35,12 @@ def test_what_is_found_is_as_sure_as_it_is_stated(rng: np.random.Generator) -> N
     stated = np.sqrt(np.mean([np.diag(one.covariance)[:2] for one in found], axis=0))
     ratio = np.sqrt((off**2).mean(axis=0)) / stated
     assert (ratio > 0.3).all() and (ratio < 1.5).all(), ratio  # two ways of clustering are added
+
+
+def test_of_an_unknown_motion_no_size_is_stated() -> None:
+    unknown = np.full(4, np.nan)
+    largest, *_ = _at_the_edge(unknown, NOTHING, np.ones((3, 4)), np.ones(4), 1e-3)
+    assert np.isnan(largest), largest
 
 
 def test_a_plane_that_moved_alone_is_named(rng: np.random.Generator) -> None:

@@ -9,11 +9,16 @@ import cv2
 import numpy as np
 import pytest
 
+from roemetry import make_stage
 from roemetry.calibrating import calibrate
 from roemetry.config.rig import Rig
 from roemetry.errors import CalibrationError
 from roemetry.records import Board
 from roemetry.records.calibration import Calibration
+from roemetry.testing.dots import DotRig
+from roemetry_pinhole.boards import Seen
+from roemetry_pinhole.conformance import dots_observed_of
+from roemetry_pinhole.initial_intrinsics import first_camera
 from tests.plugins.pinhole.board_set import (
     CHARUCO,
     CHESS,
@@ -141,6 +146,22 @@ def test_a_board_described_wrongly_is_what_is_to_be_mended(tmp_path: Path) -> No
     with pytest.raises(CalibrationError, match=f"it is another board: {seen}") as caught:
         calibrate(rig)
     assert "begin with what is said of" in (caught.value.hint or "")
+
+
+def test_of_one_image_the_hint_speaks_as_of_one() -> None:
+    seen = Seen(left_out={"on_1.png": "it is blurred"})
+    with pytest.raises(CalibrationError) as caught:
+        first_camera(seen, (300, 400), "five", None, 1)
+    assert caught.value.hint == "begin with what is said of the image"
+
+
+def test_poses_in_which_dots_show_another_board_are_counted() -> None:
+    observed = dots_observed_of(DotRig())
+    assert observed.board is not None
+    other = replace(observed.board, columns=observed.board.columns + 1)
+    calibrator = make_stage("calibrator", "pinhole-dots")
+    with pytest.raises(CalibrationError, match=r"the board is seen in 0 of [1-9]"):
+        calibrator.calibrate(replace(observed, board=other))
 
 
 def test_a_stripe_that_is_seen_in_one_pose_only_is_named(tmp_path: Path) -> None:

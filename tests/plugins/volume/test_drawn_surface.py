@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from roemetry import Pipeline, Recipe, make_stage
 from roemetry.records import Surface
+from roemetry.stages import Classifier
 from roemetry.testing.solids import BOX, HALF_CYLINDER, HALF_ELLIPSOID, Solid, product_of
 
 RECIPES = Path(__file__).resolve().parents[3] / "recipes"
@@ -49,3 +51,19 @@ def test_the_plate_over_the_outline_holds_the_volume() -> None:
     assert found.grade is not None and unasked.grade is not None
     assert found.grade.relief is not None and unasked.grade.relief is None, "nor is the relief"
     assert found.grade.features == unasked.grade.features
+
+
+def test_a_relief_that_a_classifier_gives_with_its_grade_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe = Recipe.load(RECIPES / "herring_roe" / "with_outline.yaml", sets=["uncertainty=none"])
+    source, pipeline = recipe.source.make(), Pipeline(recipe)
+    kind = type(recipe.stages["classifier"].make())
+    classify, relief = kind.classify, kind.relief
+    monkeypatch.setattr(kind, "relief", Classifier.relief)
+    monkeypatch.setattr(
+        kind,
+        "classify",
+        lambda self, product, *, rng=None: replace(classify(self, product), relief=relief(self, product)),
+    )
+    (reference, *_) = source.references(recipe.source_path)
+    (found,) = pipeline.trace(source.read(reference), surfaces=True).products
+    assert found.grade is not None and found.grade.relief is not None

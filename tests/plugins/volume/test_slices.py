@@ -95,6 +95,13 @@ def test_trapezoids_are_short_of_a_convex_body_by_what_lies_above_them() -> None
     assert above > 0.0
 
 
+def test_trapezoids_need_no_numpy_2(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The oldest numpy that the package allows has no `trapezoid`."""
+    monkeypatch.delattr(np, "trapezoid", raising=False)
+    found = SliceTrapezoid(UndersideOptions()).estimate(product_of(HALF_ELLIPSOID))
+    assert found.visible_mm3.value > 0.0
+
+
 def test_a_fan_of_planes_counts_each_height_where_it_is() -> None:
     """A box under planes from one point near by: at its top they are a tenth closer than on the belt."""
     height, projector = 12.0, 120.0
