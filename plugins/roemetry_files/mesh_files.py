@@ -71,6 +71,9 @@ class MeshFiles(Sink[MeshFilesOptions]):
                     missing.append(f"{title}: its volume has no surface: there is none, or it sums up areas")
                     continue
                 mesh = mesh_of(found.surface)
+                if not len(mesh.triangles):
+                    missing.append(f"{title}: no four neighbouring points of its surface are known")
+                    continue
                 certainty = certainty_of(mesh, found.product)
                 for ending in dict.fromkeys(self.options.formats):
                     path = folder / f"{_file_name(title)}.{ending}"

@@ -400,7 +400,8 @@ def _render_plain(
                     light += 0.75 * (grey * cosine / level + specular(gloss, albedo[4], normal, beam, view))
                 if apart:
                     image[row, column, 0] += share * grey
-                    image[row, column, 1] += share * light / max(grey, _BLACKEST)
+                    if grey > _BLACKEST:
+                        image[row, column, 1] += share * light / grey
                 else:
                     image[row, column, 0] += share * light
 

@@ -238,11 +238,24 @@ def _may_be_joined(pixels: NDArray[Any], axis: int, least: int, enough: float) -
     found = np.flatnonzero(may_be[1:-1]) + 1
     if found.size:
         first, last = int(found[0]), int(found[-1])
-        some = np.swapaxes(pixels, 0, axis)[first - 1 : last + 3]  # from one before to two after each
-        step = _steps(some[1:-1], 1)
-        at_once = (step > least) & (cv2.subtract(_steps(some, 3), step) <= step >> 1)
-        may_be[first : last + 1] &= _per_boundary(at_once, 0) > enough
+        some = _part(pixels, axis, first - 1, last + 3)  # from one before to two after each
+        at_once = _apart(_part(some, axis, 1, -1), axis, 1)
+        beyond = cv2.subtract(_apart(some, axis, 3), at_once)
+        may_be[first : last + 1] &= _per_boundary((at_once > least) & (beyond <= at_once >> 1), axis) > enough
     return may_be
+
+
+def _part(pixels: NDArray[Any], axis: int, first: int, end: int) -> NDArray[Any]:
+    """Give the rows (axis 0) or columns (1) from the first to before the end."""
+    return pixels[first:end] if axis == 0 else pixels[:, first:end]
+
+
+def _apart(pixels: NDArray[Any], axis: int, far: int) -> NDArray[Any]:
+    """Give by how much each pixel differs from that so many rows (axis 0) or columns (1) on."""
+    import cv2
+
+    some, others = _part(pixels, axis, 0, -far), _part(pixels, axis, far, pixels.shape[axis])
+    return np.asarray(cv2.absdiff(some, others))
 
 
 def _steep_steps(lines: NDArray[Any], least: int, wanted: NDArray[np.bool_]) -> tuple[Integers, Integers]:
@@ -255,9 +268,9 @@ def _steep_steps(lines: NDArray[Any], least: int, wanted: NDArray[np.bool_]) -> 
     needed = _with_neighbours(np.append(wanted, False), after)
     some = lines[needed]
     whole, most = np.ones((_REACH, 1), np.uint8), np.ones((_REACH - 2, 1), np.uint8)
-    step = _steps(some, 1)
+    step = _apart(some, 0, 1)
     change = (cv2.dilate(some, whole, anchor=(0, before)) - cv2.erode(some, whole, anchor=(0, before)))[:-1]
-    to_and_fro = cv2.dilate(_steps(some, 2), most, anchor=(0, before))
+    to_and_fro = cv2.dilate(_apart(some, 0, 2), most, anchor=(0, before))
     steep = step > least
     at_once = steep & (change - step <= step // _AT_ONCE)
     alternate = steep[:-1] & (to_and_fro <= step[:-1] // _TO_AND_FRO)
@@ -275,13 +288,6 @@ def _most_beside(count: Integers) -> NDArray[np.float32]:
     ring = np.ones((1, 2 * _BESIDE + 1), np.uint8)
     ring[0, _BESIDE] = 0
     return np.asarray(cv2.dilate(count[None].astype(np.float32), ring)[0])
-
-
-def _steps(lines: NDArray[Any], far: int) -> NDArray[Any]:
-    """Give by how much each pixel differs from that of the line so far on."""
-    import cv2
-
-    return np.asarray(cv2.absdiff(lines[:-far], lines[far:]))
 
 
 def _per_boundary(found: NDArray[np.bool_], axis: int = 0) -> Integers:

@@ -13,6 +13,7 @@ from roemetry.records import Surface
 from roemetry.run.batch import run_recipe
 from roemetry.testing.scenes import LinearRig
 from roemetry.testing.solids import HALF_CYLINDER, HALF_ELLIPSOID, outlined, product_of
+from roemetry_files import mesh_files
 from roemetry_files.mesh_files import (
     ASSUMED,
     BRIDGED,
@@ -125,3 +126,15 @@ def test_an_estimator_without_a_surface_leaves_a_word_instead_of_files(line, tmp
     assert only.name == "not-made.txt"
     assert [text.split(":")[0] for text in told] == ["p01#1", "p02#1"]
     assert all("has no surface" in text for text in told)
+
+
+def test_a_surface_without_a_whole_cell_leaves_a_word_too(line, tmp_path: Path, monkeypatch) -> None:
+    def of_scattered_points(surface: Surface):
+        return mesh_of(Surface(np.full_like(surface.xyz_mm, np.nan), surface.assumed))
+
+    monkeypatch.setattr(mesh_files, "mesh_of", of_scattered_points)
+    sets = ["sinks=[mesh-files]", "stages.volume=slice-pchip"]
+    run_recipe(Recipe.load(line(2), sets=sets), tmp_path / "out")
+    (only,) = (tmp_path / "out" / "meshes").iterdir()
+    assert only.name == "not-made.txt"
+    assert "p01#1: no four neighbouring points" in only.read_text("utf-8")
