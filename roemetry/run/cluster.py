@@ -48,7 +48,7 @@ two workers that have nothing to do take 96 ms of processor time a second, with 
 
 _CHUNK_S = 1.0
 """Work that is handed over at once, s: long beside the 10 ms that a chunk costs scheduler and client."""
-_CHUNK_S_LATER = 4.0
+_CHUNK_S_LATER = 6.0
 """The same once a run is long, s: scheduler and client then take half the time a product that they took."""
 _CHUNK_SHARE = 0.05
 """A chunk's share of the time a run has taken, at most: for so much of it a worker may be idle at the end."""
