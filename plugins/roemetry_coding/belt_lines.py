@@ -469,6 +469,6 @@ def _at_the_edge(
 @float_kernel
 def _solve(matrix: Floats, right: Floats, answer: Floats, before: Floats) -> None:
     """Solve positive definite equations, and keep the last answer in `before`."""
-    before[:] = answer
-    answer[:] = right
+    for k in range(right.size):
+        before[k], answer[k] = answer[k], right[k]
     solve(matrix.copy(), answer)

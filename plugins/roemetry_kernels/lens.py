@@ -98,7 +98,7 @@ def sight_lines(view: View, outline: Outline) -> tuple[Floats, Floats]:
     if not camera.size:
         return view.rays(outline.xy_px)
     start: Floats
-    start, way = rays_through(outline.xy_px, camera, view.T_belt_camera)
+    start, way = rays_through(outline.xy_px.copy(), camera, view.T_belt_camera)
     return start, way
 
 

@@ -53,11 +53,11 @@ def robust_fit(
                     total += weighed[k] * rows[b, k]
                 normal[a, b] = total
         solve(normal, fit)
-        off[:] = wanted
-        for a in range(terms):
+        off = wanted - fit[0] * rows[0]
+        for a in range(1, terms):
             off -= fit[a] * rows[a]
         scatter = max(1.4826 * median_of(np.abs(off)), least)
-        weight[:] = base / (1.0 + (off / (2.0 * scatter)) ** 2)
+        weight = base / (1.0 + (off / (2.0 * scatter)) ** 2)
     return fit, weight, off
 
 

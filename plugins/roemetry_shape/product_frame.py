@@ -338,7 +338,7 @@ def cuts_in_line(xyz: Floats, slices: Integers) -> tuple[Integers, Floats, Float
             middle[count, 1] = low + 0.5 * wide
             count += 1
         begin = stop
-    along = np.argsort(middle[:count, 0], kind="mergesort")
+    along = np.argsort(middle[:count, 0].copy(), kind="mergesort")
     peak = np.empty(count)
     for k in range(count):
         peak[k] = height[along[k]].max()

@@ -452,8 +452,8 @@ def belt_fit(terms: Floats, bright: NDArray[np.float32], product: Flags) -> Floa
             for b in range(a + 1):
                 normal[a, b] += (used * terms[b]).sum()
         solve(normal, found)
-        off[:] = seen
-        for a in range(count):
+        off = seen - terms[0] * found[0]
+        for a in range(1, count):
             off -= terms[a] * found[a]
         away = np.abs(off - median_of(off[use]))
         again = use & (away < max(3.0 * 1.4826 * median_of(away[use]), 0.02))

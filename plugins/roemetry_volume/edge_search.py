@@ -165,7 +165,7 @@ def edge_around(scene: Scene, start: Floats) -> Edge | None:
     ring = _rounded(evenly(start, _NORMALS), _ROUND_START)
     ring = _widely(scene, ring)
     for _ in range(2):
-        ring = steepest(scene.level, *scene.marks, ring)
+        ring = _steepest(scene.level, *scene.marks, ring)
     blur_px = math.hypot(_BLUR_PX, scene.blur_px)
     changed = 0.5
     if scene.stripes is None:
@@ -217,7 +217,7 @@ def unbound(scene: Scene, ring: Floats) -> Floats:
     """Give the edge near a ring that the image alone shows, whatever the stripes say."""
     scene = scene._replace(bounds=None)
     for _ in range(2):
-        ring = steepest(scene.level, *scene.marks, ring)
+        ring = _steepest(scene.level, *scene.marks, ring)
     found: Floats = kinked(*_across(scene, ring), _model(math.hypot(_BLUR_PX, scene.blur_px)))[0]
     return found
 
@@ -237,15 +237,14 @@ def _widely(scene: Scene, ring: Floats) -> Floats:
         fine, coarse, even = (
             cv2.GaussianBlur(level, (0, 0), px / coarser) for px in (_FINE_PX, _COARSE_PX, _EVEN_PX)
         )
-        ring = widely(
+        ring = _moved_widely(
             fine, coarse, even, *scene.marks[:2], np.ascontiguousarray(ring[::coarser]), low, coarser,
             -inwards * scene.spacing_px, outwards * scene.spacing_px,
         )  # fmt: skip
     return ring
 
 
-@float_kernel
-def widely(
+def _moved_widely(
     fine: Image, coarse: Image, even: Image, product: Image, belt: Image, ring: Floats, corner: Integers,
     coarser: int, inwards_px: float, outwards_px: float,
 ) -> Floats:  # fmt: skip
@@ -264,73 +263,51 @@ def widely(
     inwards_px, outwards_px
         First distance from the ring that is looked at, and the one after the last.
     """
-    n = ring.shape[0]
     normal = smoothed_around(normals_of(ring, _NORMAL_REACH), bell(_DIRECTION_ROUND / coarser))
-    here = np.empty((n, 2))
-    for i in range(n):
-        length = max(math.sqrt(normal[i, 0] ** 2 + normal[i, 1] ** 2), 1e-9)
-        for k in range(2):
-            normal[i, k] /= length
-            here[i, k] = (ring[i, k] - corner[k] + 0.5) / coarser - 0.5
+    normal /= np.maximum(np.hypot(normal[:, :1], normal[:, 1:]), 1e-9)
+    here = (ring - corner + 0.5) / coarser - 0.5
     every = inwards_px + np.arange(math.ceil(outwards_px - inwards_px))
     shut = shut_between(product, belt, ring, normal, every)[:, ::coarser]
     off = every[::coarser].copy()
     places = off / coarser
     sharp = _gradient(fine, here, normal, places, round(2.0 * _FINE_PX / coarser))
     sharp -= _gradient(coarse, here, normal, places, round(2.0 * _COARSE_PX / coarser))
-    sharp = smoothed_around(sharp, bell(_COHERENT / coarser))
-    lit = sampled(even, here, normal, places + _LIT_PX / coarser)
-    most = np.zeros(n)
-    for i in range(n):
-        for j in range(off.size):
-            sharp[i, j] = 0.0 if shut[i, j] else abs(sharp[i, j])
-            most[i] = max(most[i], sharp[i, j])
-    clear = max(median_of(most), 1e-9)
-    cost = np.empty((n, off.size))
-    for i in range(n):
-        for j in range(off.size):
-            dark = min(max(lit[i, j], 0.0) / _LIT, 1.0)
-            cost[i, j] = 1.0 if shut[i, j] else dark - min(sharp[i, j] / clear, 1.0) - _OUTWARDS * off[j]
+    sharp = np.abs(smoothed_around(sharp, bell(_COHERENT / coarser)))
+    sharp[shut] = 0.0
+    clear = max(median_of(sharp.max(axis=1)), 1e-9)
+    dark = np.clip(sampled(even, here, normal, places + _LIT_PX / coarser) / _LIT, 0.0, 1.0)
+    cost = dark - np.minimum(sharp / clear, 1.0) - _OUTWARDS * off
+    cost[shut] = 1.0
     path = closed_path(cost, _WIDE_BEND, _WIDE_STEP)
     moved = _moved(ring, normal, off[path], _WIDE_ROUND / coarser)
-    return smoothed_around(evenly(moved, _NORMALS), bell(2.0))
+    found: Floats = smoothed_around(evenly(moved, _NORMALS), bell(2.0))
+    return found
 
 
-@float_kernel
 def _gradient(smooth: Image, ring: Floats, normal: Floats, off: Floats, apart: int) -> Floats:
     """Give the fall of brightness outwards over so many places, at distances a place apart."""
     places = np.arange(off.size + apart) + (off[0] - 0.5 * apart)  # the ends of each are sampled once
-    light = sampled(smooth, ring, normal, places)
+    light: Floats = sampled(smooth, ring, normal, places)
     return (light[:, : off.size] - light[:, apart:]) / apart
 
 
-@float_kernel
 def _moved(ring: Floats, normal: Floats, off: Floats, round_: float) -> Floats:
     """Move (n,) points of a ring along their normals by so much, smoothed around it."""
-    even = smoothed_around(off.reshape(-1, 1), bell(round_))
+    even: Floats = smoothed_around(off.reshape(-1, 1), bell(round_))
     return ring + even * normal
 
 
-@float_kernel
-def steepest(level: Image, product: Image, belt: Image, stripes: Image, ring: Floats) -> Floats:
+def _steepest(level: Image, product: Image, belt: Image, stripes: Image, ring: Floats) -> Floats:
     """Move a ring along its normals to where light changes most; images as in `Scene.marks`."""
     n, normal, off = ring.shape[0], normals_of(ring, _NORMAL_REACH), _NARROW_OFF_PX
     change = sampled(level, ring, normal, off - _SMOOTH_PX) - sampled(level, ring, normal, off + _SMOOTH_PX)
     change = np.abs(smoothed_around(change, bell(_COHERENT)))
     told = _beside(stripes, ring, normal)
-    most, count = np.empty(n), 0
-    for i in range(n):
-        if told[i]:
-            most[count] = change[i].max()
-            count += 1
-    usual = max(median_of(most[:count]), 1e-9)
-    shut = shut_between(product, belt, ring, normal, off)
-    cost = np.zeros((n, off.size))
-    for i in range(n):
-        for j in range(off.size):
-            cost[i, j] = (-change[i, j] / usual if told[i] else 0.0) + shut[i, j]
-    path = closed_path(cost, _NARROW_BEND, 2)
-    return evenly(_moved(ring, normal, off[path], _NARROW_ROUND), n)
+    usual = max(median_of(change.max(axis=1)[told]), 1e-9)
+    change[~told] = 0.0
+    path = closed_path(shut_between(product, belt, ring, normal, off) - change / usual, _NARROW_BEND, 2)
+    found: Floats = evenly(_moved(ring, normal, off[path], _NARROW_ROUND), n)
+    return found
 
 
 class _Across(NamedTuple):
@@ -672,7 +649,8 @@ def closed_path(cost: Floats, bend: float, most: int) -> Integers:
     before, best = np.full(m + 2 * most, np.inf), np.empty(m)
     step = np.empty(m, np.int64)  # as wide as costs are, or they are not taken several at once
     came = np.zeros((2 * n, m), np.int8)
-    before[most : most + m] = cost[0]
+    for j in range(m):
+        before[most + j] = cost[0, j]
     for k in range(1, 2 * n):
         best[:] = np.inf
         for d in range(2 * most + 1):
@@ -682,8 +660,9 @@ def closed_path(cost: Floats, bend: float, most: int) -> Integers:
                 less = way < best[j]
                 best[j] = way if less else best[j]
                 step[j] = d if less else step[j]
-        came[k] = step
-        before[most : most + m] = best + cost[k % n]
+        for j in range(m):
+            came[k, j] = step[j]
+            before[most + j] = best[j] + cost[k % n, j]
     path = np.empty(2 * n, np.int64)
     path[2 * n - 1] = np.argmin(before[most : most + m])
     for k in range(2 * n - 1, 0, -1):

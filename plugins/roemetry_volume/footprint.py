@@ -194,4 +194,7 @@ def inside_by(contour: Floats, places: Floats) -> Floats:
             right_of, above = right - along * dx, up - along * dy
             best[p] = min(best[p], right_of * right_of + above * above)
             crossed[p] += ((ay <= y[p]) != (by <= y[p])) & (right < up * run)
-    return np.where(crossed % 2 == 1, np.sqrt(best), -np.sqrt(best))
+    for p in range(count):
+        distance = math.sqrt(best[p])
+        best[p] = distance if crossed[p] % 2 == 1 else -distance
+    return best

@@ -127,7 +127,7 @@ def points_of(product: Product, view: View | None = None, outline: Outline | Non
     if view is None or outline is None:
         return _points_of(profiles, number)
     loose, xyz_mm = _loose_of(profiles, number)
-    outside_px = -inside_by(outline.xy_px, view.project(xyz_mm)) if loose.size else np.empty(0)
+    outside_px = -inside_by(outline.xy_px.copy(), view.project(xyz_mm)) if loose.size else np.empty(0)
     specks = loose[outside_px > _ASTRAY_PX + _ASTRAY_SIGMAS * outline.xy_std_px]
     return _points_of(profiles, number, tuple(specks.tolist()))
 
@@ -258,7 +258,7 @@ def fuse(product: Product, view: View, outline: Outline, start: Start | None = N
     settled_mm = _SETTLED_MM if start is None else _FOLLOWED_MM
     for _ in range(_ROUNDS if start is None else _ROUNDS_ON):
         contour = (border.xy_mm - centre) @ turn
-        found = under_dome(points.xyz_mm, points.slice, place, *ends, contour)
+        found = under_dome(xyz, points.slice, place, *ends, contour)
         rim, knots = Rim(*found[:4]), Knots(*found[4:])
         if start is None:
             open_end = _open_ends(knots, contour, (border.outward @ turn)[:, 0])
@@ -613,14 +613,14 @@ def off_course(
     It is taken by a share: the more of the points' scatter it leaves, the less it says of what is between.
     """
     low_s, low_v, side, cells_s, cells_v = grid
-    design, weighed = np.ones((6, s.size)), np.empty(s.size)
+    design = np.ones((6, s.size))
     for k in range(s.size):
         a, b = (s[k] - low_s) / side, (v[k] - low_v) / side
         design[1, k], design[2, k] = a, b
         design[3, k], design[4, k], design[5, k] = a * a, a * b, b * b
     normal, c = np.empty((6, 6)), np.empty(6)
     for a in range(6):
-        weighed[:] = weight * design[a]
+        weighed = weight * design[a]
         c[a] = (weighed * u).sum()
         for b in range(a + 1):
             normal[a, b] = (weighed * design[b]).sum()

@@ -187,7 +187,7 @@ class View(Shown):
         flat = self._normalised(xy.reshape(-1, 2))
         if self.telecentric:
             start = np.column_stack([flat, np.zeros(len(flat))]) @ turn.T + shift
-            way = np.broadcast_to(turn[:, 2], start.shape)
+            way = np.tile(turn[:, 2], (len(start), 1))
         else:
             x, y = flat.T
             way = flat @ turn[:, :2].T + turn[:, 2]

@@ -312,7 +312,7 @@ def shifts_of(runs: Runs, lines: int, gain_min: float) -> tuple[Floats, Integers
                 if way[g] != _ASIDE:
                     dearer[g] = min(dearer[g], cost[f, k] / wide)
     way[:] = _ASIDE
-    for n in np.argsort(cost.ravel()):
+    for n in np.argsort(cost.ravel(), kind="mergesort"):
         f, k = n // 2, n % 2
         if cost[f, k] > -gain_min:
             break
