@@ -174,9 +174,11 @@ def _doubt_on_one_side(
 def _widened(rows: Flags) -> Flags:
     """Add the rows within 2 of a marked one: single peaks may be missing."""
     found = rows.copy()
-    for by in range(1, _MISSING_ROWS + 1):
-        found[by:] |= rows[:-by]
-        found[:-by] |= rows[by:]
+    for row in range(rows.size):
+        if not rows[row]:
+            continue
+        for near in range(max(row - _MISSING_ROWS, 0), min(row + _MISSING_ROWS + 1, rows.size)):
+            found[near] = True
     return found
 
 

@@ -163,7 +163,12 @@ def nodes_within(
                 share = (at - contour[k, 0]) / (contour[m, 0] - contour[k, 0])
                 crossings[found] = contour[k, 1] + share * (contour[m, 1] - contour[k, 1])
                 found += 1
-        crossings[:found].sort()
+        for k in range(1, found):  # a handful: no sorting routine is compiled for them
+            late, m = crossings[k], k
+            while m > 0 and crossings[m - 1] > late:
+                crossings[m] = crossings[m - 1]
+                m -= 1
+            crossings[m] = late
         for pair in range(0, found - 1, 2):
             middle = 0.5 * (crossings[pair] + crossings[pair + 1])
             half = 0.5 * (crossings[pair + 1] - crossings[pair])

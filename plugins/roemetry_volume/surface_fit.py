@@ -314,7 +314,9 @@ def dome_knots(
     # what is seen of the wall below the rim is no part of the dome
     low = np.flatnonzero(over <= -_BELOW_RIM_MM)
     dome = np.ones(over.size, np.bool_)
-    dome[low] = inside_by(contour, place[low]) > _WALL_MM
+    inside_mm = inside_by(contour, place[low])
+    for k in range(low.size):
+        dome[low[k]] = inside_mm[k] > _WALL_MM
     kept = np.flatnonzero(dome)
     over = over[kept]
     u = over * np.abs(over) if upright else over
@@ -390,7 +392,7 @@ def end_kind(
     outer, inner = slices[first[one]], slices[first[other]]
     if u[mine].max() > _UPRIGHT * u[beyond].max() > _OVER_RIM:
         return _UPRIGHT_END, outer, inner
-    order = np.argsort(v[beyond])
+    order = np.argsort(v[beyond], kind="mergesort")
     at_v, at_s, at_u = v[beyond][order], s[beyond][order], u[beyond][order]
     level, whole, high, below, beside = 0.0, 0.0, 0.0, 0.0, 0
     for k in range(first[one], first[one + 1]):
