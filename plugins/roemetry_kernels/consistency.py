@@ -161,12 +161,10 @@ def _doubt_on_one_side(
     if on_bodies_too:
         active = _widened(active)
     while 0 <= other < belt.shape[0]:
-        if on_bodies_too:
-            active &= _widened(belt[other] | body[other])
-            doubt[other] |= active
-        else:
-            active &= ~body[other]
-            doubt[other] |= active & belt[other]
+        there = _widened(belt[other] | body[other]) if on_bodies_too else ~body[other]
+        for row in range(active.size):
+            active[row] &= there[row]
+            doubt[other, row] |= active[row] & (on_bodies_too | belt[other, row])
         other += step
 
 

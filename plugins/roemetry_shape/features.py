@@ -38,7 +38,7 @@ import numpy as np
 from roemetry.records import Product, Profiles, Relief
 from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import float_kernel, kernel
-from roemetry_kernels.image_levels import median_of
+from roemetry_kernels.image_levels import median_of, nth_smallest
 from roemetry_shape.product_frame import (
     EVEN,
     SAMPLES,
@@ -417,7 +417,6 @@ def hollow_numbers(
         saddles[line] = along[line].max()
         for k in range(stations):
             cup[k, line] = min(across[first + k, _LINES[line]], along[line, k])
-    saddles.sort()
     sample, volume = np.empty(STATIONS), 0.0  # mm² of a sample
     for k in range(STATIONS):
         deepest[k] = across[k].max()
@@ -425,10 +424,11 @@ def hollow_numbers(
     every_second = 2.0 * sample[first : first + stations]
     for k in range(stations):
         volume += cup[k].sum() * every_second[k]
+    third = nth_smallest(saddles, lines - 3)
     return (
-        across, depth_reached(across, sample, _PATCH_MM2), median_of(deepest), across.mean(), saddles[-3],
-        saddles[-3] / max(height_mm.max(), 1e-9), saddles[lines // 2], saddles[lines // 10],
-        depth_reached(cup, every_second, _PATCH_MM2), volume,
+        across, depth_reached(across, sample, _PATCH_MM2), median_of(deepest), across.mean(), third,
+        third / max(height_mm.max(), 1e-9), nth_smallest(saddles, lines // 2),
+        nth_smallest(saddles, lines // 10), depth_reached(cup, every_second, _PATCH_MM2), volume,
     )  # fmt: skip
 
 
