@@ -117,9 +117,7 @@ def _parse(command: str) -> None:
     VERBS[verb].make_context(verb, words)
 
 
-def _type(
-    command: str, clone: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> str | None:
+def _type(command: str, clone: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> str | None:
     """Type a command, and give what it says where it does not end as the page lets one expect."""
     for pattern, smaller in SMALLER:
         command = re.sub(pattern, smaller, command)
