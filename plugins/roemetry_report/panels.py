@@ -39,6 +39,7 @@ class Panel:
     """A picture with its letter, what it shows, and what a reader must know about the drawing of it."""
 
     letter: str
+    """Empty where its place on the page is not known yet."""
     title: str
     drawing: Markup
     notes: tuple[str, ...] = ()
@@ -375,7 +376,7 @@ def arc_panel(
         notes.append(f"{int(leaving.sum())} {'lead' if leaving.sum() > 1 else 'leads'} out of the picture")
     title = f"Body curves, an arrow to each {marks.kind}"
     label = f"Body curves of product {product} with arrows ({marks.kind}); {'; '.join(notes)}"
-    return Panel("g", title, svg.view(body, box, label, "screen zoomed"), tuple(notes))
+    return Panel("", title, svg.view(body, box, label, "screen zoomed"), tuple(notes))
 
 
 def _zoom(marks: Marks, stripes: StripeMap, product: int, size: tuple[int, int]) -> Box | None:
