@@ -391,3 +391,11 @@ def test_a_scan_gives_what_a_run_gives(root: Path) -> None:
     assert row["volume"]["visible_mm3"]["value"] == run.volume.visible_mm3.value
     assert header["image"] == {}
     assert (arrays["profiles.product"] > 0).sum() > 1000
+
+
+def test_a_stage_that_the_file_leaves_to_its_default_is_named(root: Path) -> None:
+    stages = {kind["kind"]: kind for kind in Session(root / "recipes" / "belt_scan").recipe()["stages"]}
+    assert stages["assembler"]["chosen"] is None
+    assert stages["assembler"]["default"] == "belt-motion"
+    assert stages["extractor"]["default"] == ""
+    assert stages["weigher"]["default"] == "", "none is none"
