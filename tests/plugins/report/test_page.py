@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from roemetry.errors import OutputError
-from roemetry.records import Estimate, Grade, Reason, Shares, Trace, Volume, Weight
+from roemetry.records import Decision, Estimate, Grade, Reason, Shares, Trace, Volume, Weight
 from roemetry_report import sink
+from roemetry_report.overview import row_of
 from roemetry_report.sink import Report, ReportOptions
 
 NASTY = "run & <script>alert(\"1\")</script> 'x'"
@@ -110,6 +111,23 @@ def test_stated_uncertainty_is_printed_and_sets_the_places(synthetic, tmp_path):
     cells = Page(written(synthetic.run_of(tmp_path, [row], {}))).rows["a#1"]
     weight = cells.index("22.14 ± 0.51")
     assert cells[weight + 1 : weight + 3] == ["20.12 ± 0.46", "17.377 ± 0.022"]
+
+
+@pytest.mark.parametrize(
+    ("possible", "main"),
+    [
+        (("large", "medium"), "large: too close"),
+        (("medium", "small"), "medium: kept"),
+        (("small",), "medium: kept"),  # a last class without limits has no reason of its own
+        ((), "on the whole row"),
+    ],
+)
+def test_the_main_reason_is_why_a_product_is_sorted_so(synthetic, possible, main):
+    asked = (Reason("class-open", "large: too close to the limit"), Reason("class-proven", "medium: kept"))
+    (row,) = synthetic.measurements_of(synthetic.Scene("a"))
+    decision = Decision("any", "", possible, asked)
+    row = replace(row, grade=None, reasons=(Reason("side", "on the whole row"),), decision=decision)
+    assert row_of(row)["main"][0].text.startswith(main)
 
 
 def test_two_products_share_their_pictures(mixed):
