@@ -55,6 +55,28 @@ def bench(browser: Any, recipe: Path) -> Iterator[Bench]:
         yield Bench(page)
 
 
+DRAWN = """async (across) => {
+  const { drawProfiles } = await import("./page/charts.js");
+  const along = [[0, -9, 1], [0, 0, 2], [0, 9, 1]], other = [[-5, 0, 1], [0, 0, 2], [5, 0, 1]];
+  const slices = across ? [along, other] : [along, along];
+  const arrays = {
+    "profiles.xyz_mm": { shape: [2, 3, 3], data: Float64Array.from(slices.flat(2)) },
+    "profiles.seen": { shape: [2, 3], data: Uint8Array.from([1, 1, 1, 1, 1, 1]) },
+    "profiles.product": { shape: [2, 3], data: Int32Array.from([1, 1, 1, 1, 1, 1]) },
+    "profiles.stripe": { shape: [2], data: Int32Array.from([0, 15]) },
+  };
+  return drawProfiles(document.getElementById("profiles"), { arrays }, null, -1);
+}"""
+
+
+def test_lines_of_a_grid_that_run_across_are_drawn_over_x(bench: Bench) -> None:
+    assert bench.page.evaluate(DRAWN, False) == "height Z over Y, mm, of every slice on a product"
+    alone = bench.page.locator("#profiles").screenshot()
+    said = "height Z over Y, or over X along lines across, mm, of every slice on a product"
+    assert bench.page.evaluate(DRAWN, True) == said
+    assert bench.page.locator("#profiles").screenshot() != alone
+
+
 def test_what_is_moved_exchanged_or_wrong_is_to_be_seen_and_can_be_taken_back(bench: Bench) -> None:
     page = bench.page
     before, volume = bench.picture(), bench.number("visible volume")
