@@ -185,6 +185,14 @@ def test_gaps_are_those_that_were_cut(line) -> None:
     assert all(gap["bridged"] for gap in gaps)
 
 
+def test_between_dots_there_are_no_gaps(root: Path) -> None:
+    session = Session(root / "recipes" / "potato_dots")
+    header, _ = ask(session, wish(session, volume=None))
+    assert header["places"]["labelled"] > 300
+    assert header["places"]["gaps"] == 0
+    assert header["places"]["gap_list"] == []
+
+
 def test_a_deep_image_is_shown_in_eight_bits(line) -> None:
     path = line(count=1)
     file = path.parent / "images" / "p01.png"

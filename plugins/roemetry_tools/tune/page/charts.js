@@ -111,6 +111,13 @@ export function drawProfiles(canvas, answer, saved, stripe) {
       context.stroke();
     }
     context.setLineDash([]);
+    context.fillStyle = colour;
+    line.points.forEach(([along, height, , place], i) => { // a dot, or the only point for rows around
+      if (line.points[i - 1]?.[3] === place - 1 || line.points[i + 1]?.[3] === place + 1) return;
+      context.beginPath();
+      context.arc(x(along), y(height), 1.6 * ratio, 0, 2 * Math.PI);
+      context.fill();
+    });
   }
 }
 
