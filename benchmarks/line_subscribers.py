@@ -17,6 +17,7 @@ def mqtt(port: int, file: TextIO) -> None:
     from paho.mqtt import client as paho
 
     def keep(client: Any, _data: Any, message: Any) -> None:
+        """Write a product's key down, then confirm it."""
         key = json.loads(message.payload)["key"]
         file.write(key + "\n")
         file.flush()

@@ -1,7 +1,9 @@
-"""Wrong sorting near a limit, under any options: shipped products, limits drawn about what is true of them.
+"""Wrong sorting near a limit, under any options: products, and limits drawn about what is true of them.
 
-``python -m benchmarks sorting [--cases 1000] [--seed 1] [--lines herring_roe …] [--sets linear …]``
+``python -m benchmarks sorting [--cases 1000] [--seed 1] [--fresh 100] [--lines potato …] [--sets linear …]``
 
+The products are the shipped ones; with ``--fresh`` as many new ones of each line, drawn with the seed as
+drafts from the whole population of its scene and kept in the temporary folder, a second of one core each.
 Each product is measured once under each set of options. Then limits are drawn, evenly within three standard
 uncertainties to either side of its true value, and a grade table of two classes decides. Wrong is a product
 that is put into the class it is not of. The guard band of 1.65 standard uncertainties promises that of
@@ -18,12 +20,14 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.command import parser_of
+from benchmarks.products import made
 from benchmarks.tables import table
 from roemetry.config.dataset import DESCRIPTION, Dataset
 from roemetry.config.recipe import Recipe
 from roemetry.errors import RoemetryError
 from roemetry.records import Estimate, ProductTrace, ProductTruth
 from roemetry.run.pipeline import Pipeline
+from roemetry_files.dataset_source import DatasetSource
 from roemetry_shape.grade_table import GradeTable, GradeTableOptions
 
 RECIPES = Path(__file__).resolve().parents[1] / "recipes"
@@ -64,13 +68,15 @@ def main() -> None:
     """Print a line for each set of options."""
     parser = parser_of(__doc__)
     parser.add_argument("--cases", type=int, default=1000, help="for each set of options")
-    parser.add_argument("--seed", type=int, default=1, help="of the limits")
+    parser.add_argument("--seed", type=int, default=1, help="of the limits, and of new products")
+    parser.add_argument("--fresh", type=int, metavar="COUNT", help="new products of each line")
     parser.add_argument("--lines", nargs="+", choices=list(LINES), default=list(LINES))
     parser.add_argument("--sets", nargs="+", choices=list(SETS), default=list(SETS))
     given = parser.parse_args()
     rows = []
+    data = {line: data_of(line, given.seed, given.fresh) for line in given.lines}
     for name in given.sets:
-        cases = [case for line in given.lines for case in measured(line, SETS[name])]
+        cases = [case for line in given.lines for case in measured(line, SETS[name], data[line])]
         products = len({id(case.trace) for case in cases})
         sizes = [case for case in cases if case.quantity in FEATURES]
         for what, some in (
@@ -87,14 +93,20 @@ def main() -> None:
     print(table(heads, rows), end="")
 
 
-def measured(line: str, sets: Sequence[str]) -> Iterator[Case]:
-    """Measure a line's shipped products; none where its recipe has no such stage."""
+def data_of(line: str, seed: int, fresh: int | None) -> Path:
+    """Give the folder of a line's shipped products, or of so many new ones."""
     folder = RECIPES / line
-    data = Dataset(folder if (folder / DESCRIPTION).is_file() else folder / "data")
-    truths = {item.id: item.products for item in data.items()}
-    recipe = Recipe.load(folder / LINES[line], sets=[*sets, "stages.grader="])
-    pipeline, source = Pipeline(recipe), recipe.source.make()
-    for reference in source.references(recipe.source_path):
+    if fresh is not None:
+        return made(folder, seed, fresh, draft=True)
+    return folder if (folder / DESCRIPTION).is_file() else folder / "data"
+
+
+def measured(line: str, sets: Sequence[str], folder: Path) -> Iterator[Case]:
+    """Measure the products of a folder; none where the line's recipe has no such stage."""
+    truths = {item.id: item.products for item in Dataset(folder).items()}
+    recipe = Recipe.load(RECIPES / line / LINES[line], sets=[*sets, "stages.grader="])
+    pipeline, source = Pipeline(recipe), DatasetSource()
+    for reference in source.references(folder):
         truth = truths.get(reference.id, ())
         try:
             products = pipeline.trace(source.read(reference)).products

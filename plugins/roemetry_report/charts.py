@@ -125,23 +125,26 @@ class _Slice:
     along: Floats
     up: Floats
     seen: Flags
+    over: str = ""
+    """What the abscissa is, where it is not that of the others."""
 
 
 def height_charts(profiles: Profiles, product: int) -> tuple[SmallChart, ...]:
     """Draw Z over Y, mm, for each slice that carries the product, over X for a line across; on one scale."""
     xyz = np.where((profiles.product == product)[..., None], profiles.xyz_mm, np.nan)
+    axes = [_axis(one) for one in xyz]
     slices = [
-        _Slice(int(profiles.stripe[index]), _along(xyz[index]), xyz[index, :, 2], profiles.seen[index])
-        for index in range(profiles.slice_count)
+        _Slice(int(stripe), one[:, axis], one[:, 2], seen, ", over X" if axis == 0 else "")
+        for stripe, one, axis, seen in zip(profiles.stripe, xyz, axes, profiles.seen, strict=True)
     ]
     return _multiples(slices, "height over the belt along the stripe, mm")
 
 
-def _along(xyz_mm: Floats) -> Floats:
-    """Give (point,) Y, or X where a slice reaches farther along it."""
+def _axis(xyz_mm: Floats) -> int:
+    """Give 1 for Y, or 0 for X where a slice reaches farther along it."""
     known = xyz_mm[np.isfinite(xyz_mm).all(axis=1), :2]
     wide, tall = np.ptp(known, axis=0) if len(known) else (0.0, 0.0)
-    return xyz_mm[:, 0 if wide > tall else 1]
+    return 0 if wide > tall else 1
 
 
 def displacement_charts(stripes: StripeMap, product: int) -> tuple[SmallChart, ...]:
@@ -165,7 +168,7 @@ def _multiples(slices: list[_Slice], what: str) -> tuple[SmallChart, ...]:
     across = Axis.over(float(along.min()), float(along.max()), _SMALL_LEFT, _SMALL_WIDTH - _SMALL_RIGHT)
     upwards = Axis.over(below, above, _SMALL_HEIGHT - _SMALL_BOTTOM, _SMALL_TOP)
     return tuple(
-        SmallChart(f"Stripe {s.stripe + 1}", _drawing(s, k, across, upwards, step, what))
+        SmallChart(f"Stripe {s.stripe + 1}{s.over}", _drawing(s, k, across, upwards, step, what))
         for s, k in zip(slices, known, strict=True)
     )
 

@@ -189,7 +189,7 @@ def row_of(measurement: Measurement, common: Collection[Reason] = ()) -> dict[st
     """Write a measurement for people; reasons in `common` are said elsewhere.
 
     The shares are `shares_of` the volume, or without one of the points. `main` reasons matter most: why the
-    row failed, or the first one of its grade; of the `further` ones a code is enough.
+    row failed, was sorted so, or has its grade; of the `further` ones a code is enough.
     """
     coding, volume = measurement.coding, measurement.volume
     shares, shares_of = _shares(measurement)
@@ -273,12 +273,21 @@ _NONE = Figure("–", "", None)
 
 
 def _by_weight(measurement: Measurement) -> tuple[Reason, ...]:
-    """Give the reasons with what is missing first, then the grade's, then the rest; each once."""
+    """Give the reasons: what is missing, why it is sorted so, those of its grade, the rest; each once."""
     grade = () if measurement.grade is None else measurement.grade.reasons
     failed = tuple(r for r in measurement.reasons if r in measurement.absent.values())
     if measurement.status == "failed" and not failed:
         failed = tuple(measurement.absent.values())
-    return tuple(dict.fromkeys((*failed, *grade, *measurement.all_reasons)))
+    return tuple(dict.fromkeys((*failed, *_deciding(measurement), *grade, *measurement.all_reasons)))
+
+
+def _deciding(measurement: Measurement) -> tuple[Reason, ...]:
+    """Give what a decision says of its first possible class; where it is silent, of the last asked about."""
+    decision = measurement.decision
+    if decision is None or not decision.possible:
+        return ()
+    own = [reason for reason in decision.reasons if reason.text.startswith(f"{decision.possible[0]}: ")]
+    return tuple(own[:1]) or decision.reasons[-1:]
 
 
 def _shares(measurement: Measurement) -> tuple[Shares | None, str]:

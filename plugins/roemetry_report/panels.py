@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,7 @@ class Panel:
     """A picture with its letter, what it shows, and what a reader must know about the drawing of it."""
 
     letter: str
+    """Empty where its place on the page is not known yet."""
     title: str
     drawing: Markup
     notes: tuple[str, ...] = ()
@@ -57,8 +58,17 @@ def panels(trace: Trace, key: str) -> tuple[Panel, ...]:
         given.append(_dominant(base, trace.peaks, key))
         given.append(_superimposed(base, trace, key))
     if trace.peaks is not None and trace.stripes is not None:
-        given.append(_connected(base, trace.peaks, trace.stripes, trace.outlines, key))
+        drawn = _connected(base, trace.peaks, trace.stripes, trace.outlines, key)
+        given.append(replace(drawn, notes=(*drawn.notes, *_not_drawn(trace))))
     return tuple(given)
+
+
+def _not_drawn(trace: Trace) -> tuple[str, ...]:
+    """Name the lines of a grid that run across: their stripes are numbered on, in an image of their own."""
+    if trace.stripes is None or trace.profiles is None or not trace.profiles.slice_count:
+        return ()
+    first, last = trace.stripes.stripe_count + 1, int(trace.profiles.stripe.max()) + 1
+    return (f"stripes {first} to {last}, which run across, are not drawn",) if last >= first else ()
 
 
 def _original(base: BaseImage, key: str) -> Panel:
@@ -375,7 +385,7 @@ def arc_panel(
         notes.append(f"{int(leaving.sum())} {'lead' if leaving.sum() > 1 else 'leads'} out of the picture")
     title = f"Body curves, an arrow to each {marks.kind}"
     label = f"Body curves of product {product} with arrows ({marks.kind}); {'; '.join(notes)}"
-    return Panel("g", title, svg.view(body, box, label, "screen zoomed"), tuple(notes))
+    return Panel("", title, svg.view(body, box, label, "screen zoomed"), tuple(notes))
 
 
 def _zoom(marks: Marks, stripes: StripeMap, product: int, size: tuple[int, int]) -> Box | None:

@@ -37,7 +37,7 @@ def relief_panels(relief: Relief) -> tuple[Panel, ...]:
     if not relief.xy_mm.size:
         return ()
     known = (shown for shown in relief.maps if np.isfinite(shown.values).any())
-    maps = (_map(shown, relief, letter) for letter, shown in zip("klmnopqr", known, strict=False))
+    maps = (_map(shown, relief) for shown in known)
     return (_plan(relief), *maps)
 
 
@@ -57,7 +57,7 @@ def _plan(relief: Relief) -> Panel:
     counts = [counted(kinds.count(kind), kind) for kind in ("dent", "hump")]
     notes = [*counts, *_in_words(relief)]
     label = f"Plan of the product with its mid-line; {'; '.join(notes)}"
-    return Panel("j", "Shape from above, mm", svg.view(body, box, label, "plan"), tuple(notes))
+    return Panel("", "Shape from above, mm", svg.view(body, box, label, "plan"), tuple(notes))
 
 
 def _over(xy_mm: Floats) -> str:
@@ -121,7 +121,7 @@ def _in_words(relief: Relief) -> list[str]:
     ]
 
 
-def _map(shown: ReliefMap, relief: Relief, letter: str) -> Panel:
+def _map(shown: ReliefMap, relief: Relief) -> Panel:
     known = shown.values[np.isfinite(shown.values)]
     low, high = (float(value) for value in np.quantile(known, (1.0 - _QUANTILE, _QUANTILE)))
     colours, ends = _scale(shown, low, high)
@@ -137,7 +137,7 @@ def _map(shown: ReliefMap, relief: Relief, letter: str) -> Panel:
     label = f"Map of {shown.title}{unit} over the product; {note}"
     drawing = svg.view(body, _box(relief, legend=True), label, "plan")
     notes = (note, *(("white: not known",) if known.size < shown.values.size else ()))
-    return Panel(letter, f"{shown.title}{unit}", drawing, notes)
+    return Panel("", f"{shown.title}{unit}", drawing, notes)
 
 
 def _scale(shown: ReliefMap, low: float, high: float) -> tuple[Sequence[str], tuple[float, float]]:

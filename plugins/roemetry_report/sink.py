@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from string import ascii_lowercase
 from typing import Any
 
 import numpy as np
@@ -207,6 +209,12 @@ def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> dict[str,
         why = next(iter(trace.absent.values()), None)
         no_pictures = why.text if why is not None else "there is no laser image"
     seconds = {} if trace is None else {k: v for k, v in trace.seconds.items() if k != "uncertainty"}
+    margins = None if trace is None or trace.stripes is None else trust(trace.stripes)
+    body = None
+    if trace is not None and trace.profiles is not None:
+        body = solid(trace.profiles, trace.products, picture_of(trace))
+    letters = _lettered(ascii_lowercase[len(drawn) :], solid=body, trust=margins)
+    first = len(drawn) + len(letters)
     return {
         "key": key,
         "acquisition": shown.acquisition,
@@ -215,21 +223,28 @@ def section(shown: Shown, replay: Callable[[str], Trace], key: str) -> dict[str,
         "panels": drawn,
         "is_scan": is_scan,
         "no_pictures": no_pictures,
-        "products": tuple(_product(row, trace, f"{key}-p{row.product}", key) for row in shown.rows),
+        "letters": letters,
+        "products": tuple(
+            _product(row, trace, f"{key}-p{row.product}", key, ascii_lowercase[first:]) for row in shown.rows
+        ),
         "coding": _coding(shown.rows[0]) if shown.rows else (),
         "seconds": tuple((stage, milliseconds(value)) for stage, value in seconds.items()),
         "seconds_total": milliseconds(sum(seconds.values())) if seconds else "",
         "thumbnail": "" if trace is None or trace.frame is None else _thumbnail(trace.frame, trace.stripes),
         "view_box": "" if trace is None or trace.frame is None else _whole(trace.frame),
         "has_curves": any(panel.letter == "d" for panel in drawn),
-        "trust": None if trace is None or trace.stripes is None else trust(trace.stripes),
-        "solid": None
-        if trace is None or trace.profiles is None
-        else solid(trace.profiles, trace.products, picture_of(trace)),
+        "trust": margins,
+        "solid": body,
     }
 
 
-def _product(row: Measurement, trace: Trace | None, key: str, section_key: str) -> dict[str, Any]:
+def _lettered(letters: str, **pictures: object) -> dict[str, str]:
+    """Give the next letter to each picture that there is, so that no reader looks for one that is missing."""
+    return dict(zip((name for name, picture in pictures.items() if picture), letters, strict=False))
+
+
+def _product(row: Measurement, trace: Trace | None, key: str, section_key: str, free: str) -> dict[str, Any]:
+    """Gather what the template says of a product; its pictures have the letters that are `free`."""
     traced = _traced(row, trace)
     grade = row.grade
     arcs: Panel | None = None
@@ -247,6 +262,13 @@ def _product(row: Measurement, trace: Trace | None, key: str, section_key: str) 
         elif row.product > 0:
             profiles = displacement_charts(trace.stripes, row.product)
             words = "Displacement from the rest line over the image row, px, for each stripe on the product"
+    bars = None
+    if row.volume is not None:
+        bars = slice_chart(row.volume, "stripe" if trace is None or trace.frame is not None else "line")
+    letters = _lettered(free, arcs=arcs, slices=bars, profiles=profiles)
+    arcs = None if arcs is None else replace(arcs, letter=letters["arcs"])
+    last = free[len(letters) :]
+    relief = tuple(replace(panel, letter=letter) for panel, letter in zip(relief, last, strict=False))
     decided = () if row.decision is None else row.decision.reasons
     said = {*row.absent.values(), *(() if grade is None else grade.reasons), *decided}
     return {
@@ -259,9 +281,8 @@ def _product(row: Measurement, trace: Trace | None, key: str, section_key: str) 
         "reasons": tuple(r for r in row.all_reasons if r not in said),
         "absent": row.absent,
         "slices": () if row.volume is None else _slices(row.volume),
-        "slice_chart": None
-        if row.volume is None
-        else slice_chart(row.volume, "stripe" if trace is None or trace.frame is not None else "line"),
+        "letters": letters,
+        "slice_chart": bars,
         "arcs": arcs,
         "relief": relief,
         "profiles": profiles,

@@ -188,6 +188,7 @@ def _video(path: Path) -> Callable[[int], Any]:
     state = {"next": 0}
 
     def frame(at: int) -> Any:
+        """Give a frame by its number; the next in turn is had without a seek."""
         if state["next"] != at:
             film.set(cv2.CAP_PROP_POS_FRAMES, at)
         good, image = film.read()

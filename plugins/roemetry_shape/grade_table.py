@@ -105,20 +105,21 @@ class GradeTableOptions(StageOptions):
             }
             for row in self.classes
         ]
-        found = faults_of(
-            [row.label for row in self.classes],
-            ranges,
-            [row.shape for row in self.classes],
-            overlaps_are_faults=self.overlaps == "refuse",
-        )
-        named = {name for row in self.classes for name in row.limits}
-        found += [(("std", name), "no class has a limit on it") for name in self.std if name not in named]
-        found += [
+        found: list[Fault] = [
             (("classes", number, "limits", name), f"no stage measures this; did you mean `{meant}`?")
             for number, row in enumerate(self.classes)
             for name in row.limits
             if (meant := _misspelt(name))
         ]
+        if not found:  # two spellings of a quantity overlap, and leave gaps, where one would not
+            found = faults_of(
+                [row.label for row in self.classes],
+                ranges,
+                [row.shape for row in self.classes],
+                overlaps_are_faults=self.overlaps == "refuse",
+            )
+        named = {name for row in self.classes for name in row.limits}
+        found += [(("std", name), "no class has a limit on it") for name in self.std if name not in named]
         if found:
             raise MisfitError(*found)
         return self

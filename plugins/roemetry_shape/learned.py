@@ -498,6 +498,7 @@ def _regression(values: Floats, which: Integers, classes: int) -> tuple[Floats, 
     penalty = PENALTY * np.concatenate([np.ones(x.shape[1] - 1), [0.0]])
 
     def loss(flat: Floats) -> tuple[float, Floats]:
+        """Give the penalised cross-entropy of weights and intercepts, and its gradient."""
         w = flat.reshape(classes, -1)
         p = _softmax(x @ w.T)
         value = -np.log(np.maximum((p * true).sum(axis=1), 1e-300)).sum() + 0.5 * (penalty * w**2).sum()

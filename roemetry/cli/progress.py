@@ -43,6 +43,7 @@ def progress(what: str, *, quiet: bool) -> Iterator[Move]:
         """As told, or else of all that was done: a single slow step does not bring it to nothing."""
 
         def render(self, task: Task) -> Text:
+            """Give the time left in words; nothing before it can be told."""
             now = time.monotonic()
             left = max(told_s - (now - told_at), 0.0)
             if math.isnan(told_s):
@@ -53,9 +54,11 @@ def progress(what: str, *, quiet: bool) -> Iterator[Move]:
         """Nothing where a step does not say how far it is."""
 
         def render(self, task: Task) -> Text:
+            """Give how many of how many are done."""
             return Text("") if task.total is None else super().render(task)
 
     def move(done: int, of: int, left_s: float = math.nan, /) -> None:
+        """Move the bar; `left_s` as told by what knows it."""
         nonlocal before, told_s, told_at
         told_s, told_at = left_s, time.monotonic()
         before = float(done) if math.isnan(before) else before

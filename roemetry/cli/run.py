@@ -116,7 +116,7 @@ def run(
         _show(loaded, outcome)
         if profile:
             _show_profile(outcome)
-    for fault in outcome.sink_faults:
+    for fault in (*outcome.sink_faults, *outcome.warnings):
         sys.stderr.write(f"roemetry: {fault}\n")
     if outcome.counts["failed"] or outcome.sink_faults:
         raise typer.Exit(1)
@@ -165,6 +165,7 @@ def _described(outcome: Outcome) -> dict[str, object]:
         "counts": dict(outcome.counts),
         "files": [str(file) for file in outcome.files],
         "faults": list(outcome.sink_faults),
+        "warnings": list(outcome.warnings),
         "drift": None if outcome.drift is None else outcome.drift.text,
         "measurements": [json.loads(row.to_json()) for row in read_record(outcome.folder)],
     }
@@ -242,9 +243,11 @@ def report(
     from roemetry.run.record import recipe_of
 
     recipe, provenance = recipe_of(folder)
-    files, faults = derive(recipe, folder, provenance, debug=debug, product=product)
+    files, faults, warnings = derive(recipe, folder, provenance, debug=debug, product=product)
     for file in files:
         typer.echo(str(file))
+    for warning in warnings:
+        typer.echo(f"roemetry: {warning}", err=True)
     if faults:
         raise OutputError("; ".join(faults))
 
@@ -291,7 +294,7 @@ def export(
     with_sink = f"sinks=[{{use: {sink}, options: {{{', '.join(options)}}}}}]"
     typed = " ".join(["export", sink, *(f"--set {text}" for text in sets or ())])
     recipe, provenance = recipe_of(folder, sets=[Implied(with_sink, typed)])
-    files, faults = derive(recipe, folder, provenance, debug=debug)
+    files, faults, _ = derive(recipe, folder, provenance, debug=debug)
     for file in files:
         typer.echo(str(file))
     if faults:

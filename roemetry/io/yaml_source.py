@@ -165,6 +165,7 @@ def read_numbers(path: Path) -> Any:
     rows: list[Any] = []
 
     def hold(line: re.Match[str]) -> str:
+        """Read a line of numbers as JSON, and leave its place in the text."""
         try:
             rows.append(json.loads(line[2]))
         except ValueError:  # a form that only YAML has, or a slip: the YAML reader knows what to say
@@ -172,6 +173,7 @@ def read_numbers(path: Path) -> Any:
         return f"{line[1]}{_HELD}{len(rows) - 1}"
 
     def put_back(value: Any) -> Any:
+        """Give what was read of YAML with the numbers in their places."""
         if isinstance(value, dict):
             return {key: put_back(item) for key, item in value.items()}
         if isinstance(value, list):
@@ -232,6 +234,7 @@ def _composer() -> Any:
         depth = 0
 
         def compose_node(self, parent: Any, index: Any) -> Any:
+            """Compose what comes next, unless it is one of what is refused."""
             event = self.parser.peek_event()
             if isinstance(event, AliasEvent):
                 why = f"`*{event.anchor}` is an alias, which is not read; write the value out, or in quotes"

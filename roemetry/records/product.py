@@ -82,6 +82,8 @@ class ProductTrace(Shown):
     height_max_mm: Estimate | None = None
     surface: Surface | None = None
     """The surface behind the volume, where it was asked for and the estimator has one."""
+    undrawn: Mapping[str, Reason] = field(default_factory=dict)
+    """By ``surface`` and ``relief``, why what was asked for to be drawn could not be given."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)

@@ -48,6 +48,16 @@ class Measured(NamedTuple):
     """For each line, what `thinned` leaves of the points that were seen; empty where none were asked for."""
 
 
+class Derived(NamedTuple):
+    """What sinks made of a record."""
+
+    files: tuple[Path, ...]
+    faults: tuple[str, ...]
+    """Of sinks that could not write, in words."""
+    warnings: tuple[str, ...]
+    """What could not be drawn for them, each said once for all products."""
+
+
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """What a run came to."""
@@ -57,6 +67,8 @@ class Outcome:
     """Rows by status: measured, empty, failed."""
     files: tuple[Path, ...]
     sink_faults: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    """What a report should show and does not, each said once for all products."""
     drift: Reason | None = None
     """What moves in the course of the run; None for nothing."""
 
@@ -167,8 +179,8 @@ def _run(
         provenance |= {"finished": _now(), "counts": counts, "seconds_median": _medians(seconds)}
         provenance["drift"] = None if drift is None else drift.text
         write_whole(folder / PROVENANCE, json.dumps(provenance, indent=2) + "\n")
-        files, faults = derive(recipe, folder, provenance, debug=debug, kept=kept)
-    return Outcome(folder, counts, files, faults, drift)
+        made = derive(recipe, folder, provenance, debug=debug, kept=kept)
+    return Outcome(folder, counts, made.files, made.faults, made.warnings, drift)
 
 
 def _take_back(folder: Path, parts: Parts | None) -> None:
@@ -186,7 +198,7 @@ def derive(
     debug: bool = False,
     kept: KeptTraces | None = None,
     product: str | None = None,
-) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+) -> Derived:
     """Let each sink derive its files from the record; a sink that fails does not stop the others.
 
     Those of one `product`, by the id of its row or its acquisition, go to a folder of their own.
@@ -195,13 +207,23 @@ def derive(
     if isinstance(folder, Url):
         lines = None if product is None else [row.to_json() for row in rows_of(folder, product)]
         with copied(folder, lines, RECORD) as local:
-            made, faults_there = derive(recipe, local, provenance, debug=debug, product=product)
-        return tuple(_in(folder, file, local) for file in made), faults_there
+            made = derive(recipe, local, provenance, debug=debug, product=product)
+        return made._replace(files=tuple(_in(folder, file, local) for file in made.files))
     # The record has the uncertainties; the replay is for pictures.
     source, pipeline = recipe.source.make(), Pipeline(recipe, draws=0)
     references: dict[str, AcquisitionReference] = {}
+    undrawn: dict[str, dict[str, str]] = {}  # by what is not drawn, products with why
 
     def replay(acquisition_id: str) -> Trace:
+        """Give an acquisition's trace with its images, as it was kept or made again."""
+        trace = replayed(acquisition_id)
+        for found in trace.products:
+            for what, why in found.undrawn.items():
+                undrawn.setdefault(what, {})[f"{acquisition_id}#{found.product.number}"] = why.text
+        return trace
+
+    def replayed(acquisition_id: str) -> Trace:
+        """Find the images; a trace that was kept needs no stage, any other is made again."""
         if not references:
             references.update({found.id: found for found in source.references(recipe.source_path)})
         if acquisition_id not in references:
@@ -235,7 +257,13 @@ def derive(
                 f"sink {chosen.registered.entry.name}: failed with {type(error).__name__}: {error} "
                 "(a plugin's fault; see --debug)"
             )
-    return tuple(files), tuple(faults)
+    return Derived(tuple(files), tuple(faults), tuple(_not_drawn(*found) for found in undrawn.items()))
+
+
+def _not_drawn(what: str, why: Mapping[str, str]) -> str:
+    (first, text), others = next(iter(why.items())), len(why) - 1
+    more = f" (and {others} more)" if others else ""
+    return f"{first}{more}: the {what} is not drawn: {text}"
 
 
 def measure_all(

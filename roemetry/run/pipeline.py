@@ -303,7 +303,7 @@ class Pipeline:
             relief = steps.do("relief", lambda: stages["classifier"].relief(product))
             if relief is not None:  # else what came with the grade, if anything did, stays
                 found = replace(found, grade=replace(found.grade, relief=relief))
-        return found
+        return replace(found, undrawn=steps.absent) if steps.absent else found
 
     def _decided(self, found: ProductTrace, doubt: Reason | None, seconds: dict[str, float]) -> ProductTrace:
         """Let the grader decide, on results that have their uncertainties."""
@@ -334,6 +334,10 @@ def frame_of(recipe: Recipe, acquisition: Acquisition) -> Frame:
     return frame
 
 
+_DRAWN_BY = {"surface": "volume", "relief": "classifier"}
+"""The kind of stage that gives what is drawn."""
+
+
 class _Steps:
     """Runs steps, takes their time, and notes why a result is missing."""
 
@@ -361,14 +365,16 @@ class _Steps:
             if is_refusal(error):
                 self.absent[kind] = Reason(f"{kind}-refused", str(error))
             else:
+                stage = _DRAWN_BY.get(kind, kind)
                 self.absent[kind] = Reason(
-                    f"{kind}-fault", describe_failure(error, kind, self._chosen.get(kind))
+                    f"{kind}-fault", describe_failure(error, stage, self._chosen.get(stage))
                 )
         finally:
             self.seconds[kind] = self.seconds.get(kind, 0.0) + time.perf_counter() - begin
         return None
 
-    def _not_finished(self, error: StageTimeout, kind: str) -> str:
+    def _not_finished(self, error: StageTimeout, step: str) -> str:
+        kind = _DRAWN_BY.get(step, step)
         chosen = self._chosen.get(kind)
         whose = f"the {kind}" if chosen is None else f"the {kind} `{chosen.registered.entry.name}`"
         place = None if chosen is None else plugin_frame(error, chosen.stage.__module__)

@@ -71,7 +71,7 @@ def test_everything_is_measured_and_derived(line: Line, tmp_path: Path) -> None:
     before = (tmp_path / "out" / "results.csv").read_bytes()
     (tmp_path / "out" / "results.csv").unlink()
     shutil.rmtree(tmp_path / "line" / "images")
-    files, faults = derive(Recipe.load(tmp_path / "line"), tmp_path / "out", {})
+    files, faults, _ = derive(Recipe.load(tmp_path / "line"), tmp_path / "out", {})
     assert (faults, files[0].read_bytes()) == ((), before), "tables are derived from the record alone"
 
 
@@ -404,6 +404,30 @@ def test_a_sink_that_fails_does_not_take_the_others_away(
     outcome = run_recipe(Recipe.load(path), tmp_path / "out")
     assert [file.name for file in outcome.files] == ["p01.csv"]
     assert "csv: failed with TypeError: oh" in outcome.sink_faults[0]
+
+
+@pytest.mark.parametrize("kind", ["volume", "classifier"])
+def test_what_cannot_be_drawn_is_said_once_and_measured_all_the_same(
+    kind: str, line: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(self: object, product: object) -> None:
+        raise IndexError("oh")
+
+    recipe = Recipe.load(line(3), sets=("sinks=[report]",))
+    whole = run_recipe(recipe, tmp_path / "whole")
+    what, stage, name = {
+        "volume": ("surface", ZeroOrderHold, "zero-order-hold"),
+        "classifier": ("relief", ArcCurvature, "arc-curvature"),
+    }[kind]
+    monkeypatch.setattr(stage, what, broken)
+    outcome = run_recipe(recipe, tmp_path / "out")
+    assert whole.warnings == outcome.sink_faults == ()
+    (said,) = outcome.warnings
+    begin = f"p01#1 (and 2 more): the {what} is not drawn: the {kind} `{name}` failed with IndexError: oh"
+    assert said.startswith(begin)
+    assert outcome.record.read_bytes() == whole.record.read_bytes(), "the record is not about pictures"
+    again = derive(recipe, tmp_path / "out", json.loads((tmp_path / "out" / "provenance.json").read_text()))
+    assert again.warnings == outcome.warnings
 
 
 def test_no_acquisition_is_traced_twice_and_a_later_report_is_the_same(

@@ -27,7 +27,10 @@ def test_glibc_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("library", [object(), None])
 def test_another_library_stays_as_it_is(library: object, monkeypatch: pytest.MonkeyPatch) -> None:
-    def found(_: object) -> object:
+    asked: list[object] = []
+
+    def found(name: object) -> object:
+        asked.append(name)
         if library is None:
             raise OSError("there is no C library")
         return library
@@ -35,3 +38,5 @@ def test_another_library_stays_as_it_is(library: object, monkeypatch: pytest.Mon
     monkeypatch.setattr(ctypes, "CDLL", found)
     keep_freed_memory.cache_clear()
     keep_freed_memory()
+    keep_freed_memory()
+    assert asked == [None], "the process itself is asked, once"

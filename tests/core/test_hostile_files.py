@@ -156,9 +156,11 @@ def test_an_image_joined_of_two_is_refused_where_it_is_joined(
 def test_lines_as_thin_as_a_pixel_are_no_joins(
     slant: float, sigma_px: float, rng: np.random.Generator
 ) -> None:
-    light = lines(rng, 0.2, slant, 30.0, sigma_px, 200.0)
+    light, other = (lines(rng, shift_px, slant, 30.0, sigma_px, 200.0) for shift_px in (0.2, 15.2))
     for pixels in (light, light.T):
         check_joins(frame_of(pixels))
+    with pytest.raises(DataError, match="the rows 129 and 130"):  # as thin as they are, joins are seen
+        check_joins(frame_of(np.concatenate([light[:130], other[130:]])))
 
 
 def test_dark_rows_of_a_sensor_that_clips_are_no_fault(rng: np.random.Generator) -> None:
@@ -166,7 +168,8 @@ def test_dark_rows_of_a_sensor_that_clips_are_no_fault(rng: np.random.Generator)
     pixels[20:150, 40::60] = rng.integers(100, 200, (130, 5))
     pixels[150:] = 0
     frame = Frame(pixels, role="laser", name="frame", bit_depth=8)
-    prepare(Acquisition("a", (frame,)), turn_deg=0, subtract="none")
+    seen = prepare(Acquisition("a", (frame,)), turn_deg=0, subtract="none")
+    np.testing.assert_array_equal(seen.pixels, pixels)
 
 
 @pytest.mark.parametrize("lines", [1, 3])

@@ -96,7 +96,7 @@ def test_what_reads_runs_reads_parts(recipe, bucket, tmp_path) -> None:
     with pytest.raises(DataError, match=r"monday/parts/000001\.jsonl: damaged: its bytes have another hash"):
         list(read_record(bucket))
     again, provenance = recipe_of(bucket)
-    files, faults = derive(again, bucket, provenance, product="p04")
+    files, faults, _ = derive(again, bucket, provenance, product="p04")
     assert files == (bucket / "product-p04" / "results.csv",)
     assert not faults
     assert "p04#1" in files[0].read_text()

@@ -265,13 +265,15 @@ def form_of(base: Any, recipe: Recipe, registry: Registry) -> dict[str, Any]:
     stated |= {f"options.{name}": value for name, value in (said.get("options") or {}).items()}
     stages = []
     for kind in KINDS:
-        own = chosen.get(kind)
+        own, used = chosen.get(kind), recipe.stages.get(kind)
+        default = used.registered.entry.name if own is None and used is not None else ""
         stages.append(
             {
                 "kind": kind,
                 "needs": NEEDS.get(kind, ""),
                 "required": kind not in NEEDS and kind in chosen,
                 "chosen": None if own is None else {"use": own["use"], "options": _stated(own["options"])},
+                "default": default,
                 "choices": _choices(kind, registry),
             }
         )

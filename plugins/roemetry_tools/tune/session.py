@@ -212,7 +212,9 @@ class Session:
         one_frame = frame if acquisition.lines is None else None
         trace = Pipeline(recipe, stages=remembered.stages, draws=draws, frame=one_frame).trace(acquisition)
         rows = measurements_of(trace, recipe, {})
-        places = places_of(trace, arrays)
+        extractor = recipe.stages.get("extractor")
+        dots = extractor is not None and extractor.stage.capabilities.pattern == "dots"
+        places = places_of(trace, arrays, dots=dots)
         return {
             "acquisition": reference.id,
             "acquisitions": [one.id for one in references],
@@ -320,17 +322,18 @@ _GAPS_TOLD = 40
 """More than anybody steps through."""
 
 
-def places_of(trace: Trace, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+def places_of(trace: Trace, arrays: dict[str, NDArray[Any]], *, dots: bool = False) -> dict[str, Any]:
     """Fill the arrays to draw, and count the places to look at.
 
     Arrays are ``peaks.…``, ``stripes.…``, ``profiles.…`` and ``outline.N``. Of gaps the longest are told:
-    stripe, first and last row, x at both ends, px, and whether they were bridged.
+    stripe, first and last row, x at both ends, px, and whether they were bridged. Between `dots` there is
+    nothing to be seen, and no gap.
     """
     told: dict[str, Any] = {}
     if trace.peaks is not None:
         told |= _of_peaks(trace.peaks, arrays)
     if trace.stripes is not None:
-        told |= _of_stripes(trace.stripes, arrays)
+        told |= _of_stripes(trace.stripes, arrays, dots=dots)
     for outline in trace.outlines:
         arrays[f"outline.{outline.product}"] = outline.xy_px
     if trace.profiles is not None:
@@ -351,11 +354,11 @@ def _of_peaks(peaks: Peaks, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
     }
 
 
-def _of_stripes(stripes: StripeMap, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+def _of_stripes(stripes: StripeMap, arrays: dict[str, NDArray[Any]], *, dots: bool) -> dict[str, Any]:
     for name in ("x_px", "product", "seen", "margin", "ambiguous", "rest_px"):
         arrays[f"stripes.{name}"] = getattr(stripes, name)
     arrays["peaks.stripe"] = stripes.peak_stripe
-    gaps = sorted(_gaps(stripes), key=lambda gap: gap["first"] - gap["last"])
+    gaps = [] if dots else sorted(_gaps(stripes), key=lambda gap: gap["first"] - gap["last"])
     return {
         "labelled": int(np.count_nonzero(stripes.peak_stripe >= 0)),
         "unlabelled": int(np.count_nonzero(stripes.peak_stripe == UNLABELLED)),

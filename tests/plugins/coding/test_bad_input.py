@@ -41,11 +41,9 @@ def wrong(stripes: StripeMap, true: np.ndarray) -> np.ndarray:
     return (stripes.peak_stripe >= 0) & (stripes.peak_stripe != true)
 
 
-def refused_or_told(stripes: StripeMap | None) -> None:
-    """Hold a coder to it: no answer, or one with reasons in which less than a tenth is numbered."""
-    if stripes is not None:
-        assert stripes.reasons
-        assert (stripes.peak_stripe >= 0).mean() < 0.1
+def refused_or_told(stripes: StripeMap | None) -> bool:
+    """Say whether a coder gave no answer, or one with reasons in which less than a tenth is numbered."""
+    return stripes is None or (bool(stripes.reasons) and (stripes.peak_stripe >= 0).mean() < 0.1)
 
 
 def test_no_peaks(coder: Any) -> None:
@@ -91,7 +89,7 @@ def test_a_calibration_of_another_stripe_count(coder: Any, planes: int) -> None:
 def test_a_calibration_whose_stripes_lie_elsewhere(coder: Any) -> None:
     """Rest lines half a spacing beside the belt's stripes: nothing fits, so nothing is numbered."""
     other = replace(RIG, first_px=RIG.first_px + 0.5 * RIG.spacing_px, stripes=6)
-    refused_or_told(coded(coder, drawn(RIG.x_px(RIG.belt()))[0], other.calibration()))
+    assert refused_or_told(coded(coder, drawn(RIG.x_px(RIG.belt()))[0], other.calibration()))
 
 
 def test_rest_lines_that_cross(coder: Any) -> None:
@@ -108,7 +106,7 @@ def test_an_image_turned_the_other_way(coder: Any) -> None:
     """Half a turn: stripes do not lie on rest lines, and bodies bow to the side that light cannot."""
     rig = replace(RIG, first_px=30.0)  # not symmetric in the image
     found = rig.peaks(rig.columns - 1 - rig.x_px(rig.dome())[::-1, ::-1], 0.1)
-    refused_or_told(coded(coder, found.peaks, rig.calibration()))
+    assert refused_or_told(coded(coder, found.peaks, rig.calibration()))
 
 
 def test_noise_without_stripes(coder: Any, rng: np.random.Generator) -> None:
@@ -119,4 +117,4 @@ def test_noise_without_stripes(coder: Any, rng: np.random.Generator) -> None:
     flat, size = np.full(2000, 5.0), (RIG.rows, RIG.columns)
     none = np.zeros(2000, np.uint8)
     peaks = Peaks(size, row[order], x_px[order], 0.02 * flat, 8.0 * flat, flat, flat, none)
-    refused_or_told(coded(coder, peaks, RIG.calibration()))
+    assert refused_or_told(coded(coder, peaks, RIG.calibration()))

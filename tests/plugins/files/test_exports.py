@@ -151,10 +151,10 @@ def test_a_full_disk_leaves_no_half_file(
 
     with monkeypatch.context() as patched:
         patched.setattr(Path, "replace", full)
-        _, (fault,) = derive(recipe, tmp_path / "out", provenance)
+        _, (fault,), _ = derive(recipe, tmp_path / "out", provenance)
     assert "No space left" in fault
     assert list((tmp_path / "out" / folder).iterdir()) == []
-    files, faults = derive(recipe, tmp_path / "out", provenance)
+    files, faults, _ = derive(recipe, tmp_path / "out", provenance)
     assert faults == () and len(files) == 1, "with room again it is written"
 
 

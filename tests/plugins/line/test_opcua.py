@@ -143,8 +143,8 @@ async def followed(url: str, deliver, desk: Desk) -> None:
             assert shown == expected
 
 
-async def stuck(url: str, deliver, desk: Desk) -> None:
-    """Subscribe, ask for no events until the line is told of it, then ask again."""
+async def stuck(url: str, deliver, desk: Desk) -> list[str]:
+    """Subscribe, ask for no events until the line is told of it, then ask again; give what came."""
     async with Client(url, timeout=5) as client:
         one = await Session(client).begin()
         await one.subscribe()
@@ -155,10 +155,7 @@ async def stuck(url: str, deliver, desk: Desk) -> None:
         await until(lambda: desk.warned[-1] is not None)
         client.uaclient.session.ensure_publish_loop()
         await until(lambda: desk.warned[-1] is None and one.events[-1].MeasId.Id == "000005#1")
-        told = [event.MeasId.Id for event in one.events]
-    assert told == [f"00000{n}#1" for n in range(1, 6)][-len(told) :], "what waited comes, in order"
-    assert len(told) >= 3, "two answers were on their way when it stopped asking"
-    assert desk.warned == [None, "clients that take no events: 127.0.0.1", None]
+        return [event.MeasId.Id for event in one.events]
 
 
 def test_a_client_follows_the_line_changes_nothing_and_is_told_of_where_it_sticks(monkeypatch) -> None:
@@ -170,7 +167,10 @@ def test_a_client_follows_the_line_changes_nothing_and_is_told_of_where_it_stick
     with outlet.open() as deliver:
         deliver([row(1)])
         ran(followed(f"opc.tcp://127.0.0.1:{port}/roemetry", deliver, desk))
-        ran(stuck(f"opc.tcp://127.0.0.1:{port}/roemetry", deliver, desk))
+        told = ran(stuck(f"opc.tcp://127.0.0.1:{port}/roemetry", deliver, desk))
+    assert told == [f"00000{n}#1" for n in range(1, 6)][-len(told) :], "what waited comes, in order"
+    assert len(told) >= 3, "two answers were on their way when it stopped asking"
+    assert desk.warned == [None, "clients that take no events: 127.0.0.1", None]
 
 
 def test_only_trusted_clients_that_encrypt_get_in(tmp_path) -> None:

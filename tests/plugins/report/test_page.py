@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from roemetry.errors import OutputError
-from roemetry.records import Estimate, Grade, Reason, Shares, Trace, Volume, Weight
+from roemetry.records import Decision, Estimate, Grade, Reason, Shares, Trace, Volume, Weight
 from roemetry_report import sink
+from roemetry_report.overview import row_of
 from roemetry_report.sink import Report, ReportOptions
 
 NASTY = "run & <script>alert(\"1\")</script> 'x'"
@@ -112,11 +113,28 @@ def test_stated_uncertainty_is_printed_and_sets_the_places(synthetic, tmp_path):
     assert cells[weight + 1 : weight + 3] == ["20.12 ± 0.46", "17.377 ± 0.022"]
 
 
+@pytest.mark.parametrize(
+    ("possible", "main"),
+    [
+        (("large", "medium"), "large: too close"),
+        (("medium", "small"), "medium: kept"),
+        (("small",), "medium: kept"),  # a last class without limits has no reason of its own
+        ((), "on the whole row"),
+    ],
+)
+def test_the_main_reason_is_why_a_product_is_sorted_so(synthetic, possible, main):
+    asked = (Reason("class-open", "large: too close to the limit"), Reason("class-proven", "medium: kept"))
+    (row,) = synthetic.measurements_of(synthetic.Scene("a"))
+    decision = Decision("any", "", possible, asked)
+    row = replace(row, grade=None, reasons=(Reason("side", "on the whole row"),), decision=decision)
+    assert row_of(row)["main"][0].text.startswith(main)
+
+
 def test_two_products_share_their_pictures(mixed):
     text = mixed[1]
     section = next(part for part in text.split('<section class="acquisition"') if "2 products" in part)
     assert section.count("data:image/jpeg") == 1
-    assert re.findall(r"<b>\((\w)\)</b>", section) == list("abcdeghighi")
+    assert re.findall(r"<b>\((\w)\)</b>", section) == list("abcdefghfgh"), "no letter is left out"
 
 
 def test_what_cannot_be_shown_costs_only_the_pictures(synthetic, tmp_path):
@@ -128,7 +146,7 @@ def test_what_cannot_be_shown_costs_only_the_pictures(synthetic, tmp_path):
     assert "a: the image is gone" in page.words
     assert "No pictures. the file is truncated" in page.words
     assert set(page.rows) == {"a#1", "b#0", "c#0"}
-    assert re.findall(r"<b>\((\w)\)</b>", text) == list("habc"), "slices of `a`; `c` ends after the peaks"
+    assert re.findall(r"<b>\((\w)\)</b>", text) == list("aabc"), "slices of `a`; `c` ends after the peaks"
     assert re.search(r'href="#a\d-peaks"', text)
 
 
@@ -142,7 +160,7 @@ def test_uncalibrated_is_said_on_top_and_pixels_are_what_is_given(synthetic, tmp
     page = Page(text)
     assert "Uncalibrated: results are in pixels" in page.words
     assert "turned by 90°" in page.words
-    assert re.findall(r"<b>\((\w)\)</b>", text) == ["a", "b", "c", "d", "i"]
+    assert re.findall(r"<b>\((\w)\)</b>", text) == ["a", "b", "c", "d", "e"]
     assert f"{rows[0].coding.displacement_max_px:.1f}" in page.rows["weld#1"]
     assert "Weight" not in page.words
 

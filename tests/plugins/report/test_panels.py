@@ -203,3 +203,23 @@ def test_neighbouring_stripes_differ_for_colour_blind_eyes(sight):
     seen = np.clip(linear @ np.reshape(SIGHTS[sight], (3, 3)).T, 0, 1).astype(np.float32)
     lab = cv2.cvtColor(seen[None], cv2.COLOR_LRGB2Lab)[0]
     assert np.linalg.norm(lab - np.roll(lab, -1, axis=0), axis=1).min() > 22
+
+
+def test_lines_that_run_across_are_named_where_they_are_not_drawn(trace):
+    """A grid's second family has stripes numbered on from the first, in an image of its own."""
+    (plain,) = (panel for panel in panels(trace, "k") if panel.letter == "d")
+    assert not [note for note in plain.notes if "across" in note]
+    profiles = trace.profiles
+    turned = profiles.xyz_mm[:, :, [1, 0, 2]]
+    both = ("product", "seen", "x_px", "row_px", "height_std_mm", "frame", "plane")
+    grid = replace(
+        profiles,
+        stripe=np.concatenate([profiles.stripe, profiles.stripe + 11]),
+        xyz_mm=np.concatenate([profiles.xyz_mm, turned]),
+        **{name: np.concatenate([getattr(profiles, name)] * 2) for name in both},
+    )
+    (drawn,) = (panel for panel in panels(replace(trace, profiles=grid), "k") if panel.letter == "d")
+    assert "stripes 12 to 22, which run across, are not drawn" in drawn.notes
+    titles = [chart.title for chart in height_charts(grid, 1)]
+    half = len(titles) // 2
+    assert [title.endswith(", over X") for title in titles] == [False] * half + [True] * half

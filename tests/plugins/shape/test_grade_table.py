@@ -189,6 +189,15 @@ def test_a_faulty_table_is_named(options: dict[str, Any], said: str) -> None:
         GradeTableOptions.model_validate(options)
 
 
+def test_a_slip_in_a_name_is_the_only_fault_told() -> None:
+    """Beside a limit on the right name it would overlap the next class as well."""
+    slip = table(("A", {"weigth_g": {"at_least": 9}}), ("B", {"weight_g": {"at_least": 5}}), ("C", {}))
+    with pytest.raises(ValidationError) as refused:
+        GradeTableOptions.model_validate(slip)
+    assert "did you mean `weight_g`" in str(refused.value)
+    assert "overlaps" not in str(refused.value)
+
+
 def test_what_is_no_fault_is_let_be() -> None:
     GradeTableOptions.model_validate(table(("A", {"weight_g": {"at_least": 0}})))
     nested = table(

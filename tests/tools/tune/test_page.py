@@ -55,6 +55,37 @@ def bench(browser: Any, recipe: Path) -> Iterator[Bench]:
         yield Bench(page)
 
 
+DRAWN = """async (what) => {
+  const { drawProfiles } = await import("./page/charts.js");
+  const along = [[0, -9, 1], [0, 0, what === "dots" ? NaN : 2], [0, 9, 1]];
+  const other = what === "grid" ? [[-5, 0, 1], [0, 0, 2], [5, 0, 1]] : along;
+  const slices = [along, other];
+  const arrays = {
+    "profiles.xyz_mm": { shape: [2, 3, 3], data: Float64Array.from(slices.flat(2)) },
+    "profiles.seen": { shape: [2, 3], data: Uint8Array.from([1, 1, 1, 1, 1, 1]) },
+    "profiles.product": { shape: [2, 3], data: Int32Array.from([1, 1, 1, 1, 1, 1]) },
+    "profiles.stripe": { shape: [2], data: Int32Array.from([0, 15]) },
+  };
+  return drawProfiles(document.getElementById("profiles"), { arrays }, null, -1);
+}"""
+
+
+def test_lines_of_a_grid_that_run_across_are_drawn_over_x(bench: Bench) -> None:
+    assert bench.page.evaluate(DRAWN, "lines") == "height Z over Y, mm, of every slice on a product"
+    alone = bench.page.locator("#profiles").screenshot()
+    said = "height Z over Y, or over X along lines across, mm, of every slice on a product"
+    assert bench.page.evaluate(DRAWN, "grid") == said
+    assert bench.page.locator("#profiles").screenshot() != alone
+
+
+def test_points_without_a_neighbour_are_drawn_as_dots(bench: Bench) -> None:
+    """A matrix of dots has no others: the chart of its profiles was empty."""
+    bench.page.evaluate(DRAWN, "dots")
+    data = np.frombuffer(bench.page.locator("#profiles").screenshot(), np.uint8)
+    drawn = cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2HSV)
+    assert np.count_nonzero(drawn[..., 1] > 100) > 4, "axes and words are grey"
+
+
 def test_what_is_moved_exchanged_or_wrong_is_to_be_seen_and_can_be_taken_back(bench: Bench) -> None:
     page = bench.page
     before, volume = bench.picture(), bench.number("visible volume")

@@ -185,6 +185,14 @@ def test_gaps_are_those_that_were_cut(line) -> None:
     assert all(gap["bridged"] for gap in gaps)
 
 
+def test_between_dots_there_are_no_gaps(root: Path) -> None:
+    session = Session(root / "recipes" / "potato_dots")
+    header, _ = ask(session, wish(session, volume=None))
+    assert header["places"]["labelled"] > 300
+    assert header["places"]["gaps"] == 0
+    assert header["places"]["gap_list"] == []
+
+
 def test_a_deep_image_is_shown_in_eight_bits(line) -> None:
     path = line(count=1)
     file = path.parent / "images" / "p01.png"
@@ -391,3 +399,11 @@ def test_a_scan_gives_what_a_run_gives(root: Path) -> None:
     assert row["volume"]["visible_mm3"]["value"] == run.volume.visible_mm3.value
     assert header["image"] == {}
     assert (arrays["profiles.product"] > 0).sum() > 1000
+
+
+def test_a_stage_that_the_file_leaves_to_its_default_is_named(root: Path) -> None:
+    stages = {kind["kind"]: kind for kind in Session(root / "recipes" / "belt_scan").recipe()["stages"]}
+    assert stages["assembler"]["chosen"] is None
+    assert stages["assembler"]["default"] == "belt-motion"
+    assert stages["extractor"]["default"] == ""
+    assert stages["weigher"]["default"] == "", "none is none"

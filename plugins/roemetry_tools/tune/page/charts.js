@@ -111,6 +111,13 @@ export function drawProfiles(canvas, answer, saved, stripe) {
       context.stroke();
     }
     context.setLineDash([]);
+    context.fillStyle = colour;
+    line.points.forEach(([along, height, , place], i) => { // a dot, or the only point for rows around
+      if (line.points[i - 1]?.[3] === place - 1 || line.points[i + 1]?.[3] === place + 1) return;
+      context.beginPath();
+      context.arc(x(along), y(height), 1.6 * ratio, 0, 2 * Math.PI);
+      context.fill();
+    });
   }
 }
 
@@ -121,9 +128,19 @@ function linesOf({ arrays }) {
     const xyz = arrays["profiles.xyz_mm"].data, seen = arrays["profiles.seen"].data;
     const product = arrays["profiles.product"].data, stripe = arrays["profiles.stripe"].data;
     const lines = collected(slices, points, (at) => product[at] > 0 && !Number.isNaN(xyz[3 * at + 2]),
-      (at) => [xyz[3 * at + 1], xyz[3 * at + 2], seen[at]]);
-    for (const line of lines) line.stripe = stripe[line.index];
-    return { lines, words: "height Z over Y, mm, of every slice on a product" };
+      (at) => [xyz[3 * at], xyz[3 * at + 1], xyz[3 * at + 2], seen[at]]);
+    let across = false; // lines of a grid that run across are drawn over X
+    for (const line of lines) {
+      const [wide, tall] = [0, 1].map((axis) => {
+        const [low, high] = extent(line.points.map((point) => point[axis]));
+        return high - low;
+      });
+      const axis = wide > tall ? 0 : 1;
+      across ||= axis === 0;
+      line.stripe = stripe[line.index];
+      line.points = line.points.map((point) => [point[axis], ...point.slice(2)]);
+    }
+    return { lines, words: `height Z over Y${across ? ", or over X along lines across" : ""}, mm, of every slice on a product` };
   }
   if (arrays["stripes.x_px"]) {
     const [stripes, rows] = arrays["stripes.x_px"].shape;

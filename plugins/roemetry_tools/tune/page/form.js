@@ -20,7 +20,8 @@ export function makeForm(place, recipe, wish, changed) {
 
   function stageCard(stage) {
     const select = element("select", { ariaLabel: `${stage.kind}: plugin` });
-    if (!stage.required) select.append(new Option("— none —", ""));
+    const unsaid = stage.default ? `— ${stage.default}, by default —` : "— none —";
+    if (!stage.required) select.append(new Option(unsaid, ""));
     for (const choice of stage.choices) {
       const option = new Option(choice.use, choice.use);
       option.disabled = Boolean(choice.missing);

@@ -67,14 +67,25 @@ async function send(draws = false) {
     while (again) {
       again = false;
       const begin = performance.now();
-      const given = await server.ask(wish);
+      const given = await awaited(server.ask(wish));
       if (!again) await take(given, begin);
     }
     trouble("");
   } catch (error) {
+    $("time").textContent = "";
     trouble(error instanceof TypeError ? "roemetry does not answer any more: was it stopped?" : error.message);
   } finally {
     busy = false;
+  }
+}
+
+/** Wait for an answer, and say so where it takes long, as it does with a grid or a scan. */
+async function awaited(coming) {
+  const late = setTimeout(() => { $("time").textContent = "measuring …"; }, 300);
+  try {
+    return await coming;
+  } finally {
+    clearTimeout(late);
   }
 }
 
@@ -82,7 +93,7 @@ async function take(given, begin) {
   await shown(given);
   requestAnimationFrame(() => { // behind the one that draws the picture: only now is the wish answered
     const took = performance.now() - begin;
-    if (!given.faults.length) $("time").textContent = `answered and drawn in ${took.toFixed(0)} ms`;
+    $("time").textContent = given.faults.length ? "" : `answered and drawn in ${took.toFixed(0)} ms`;
     const answers = 1 + Number(document.body.dataset.answers ?? 0);
     Object.assign(document.body.dataset, { took: took.toFixed(1), answers });
   });
