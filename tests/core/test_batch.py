@@ -307,7 +307,7 @@ def test_asked_to_end_before_it_measures_a_run_says_so(tmp_path: Path) -> None:
         process.send_signal(signal.SIGTERM)
         said = process.communicate(timeout=60)
     assert process.returncode == 130, said
-    told = "stopped by SIGTERM; give the command again, with --resume if it has kept anything"
+    told = "stopped by SIGTERM; give the command again, with --resume where it has that option"
     assert said == ("", f"roemetry: {told}\n")
     assert not out.exists()
 
