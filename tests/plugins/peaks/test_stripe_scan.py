@@ -78,6 +78,7 @@ def scanned(image, threshold, area=None):
 
 
 def same(found, wanted):
+    """Assert that tops are the same."""
     for one, other in zip(found, wanted, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -101,6 +102,24 @@ def test_many_random_rows_agree_with_the_scan_of_one_pixel_after_the_other(thres
     for columns in (24, 31):
         image = rows_of_every_kind(rng, 60_000, columns)
         same(scanned(image, threshold), reference(image, threshold))
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+@pytest.mark.parametrize("threshold", [12, 40])
+def test_dark_parts_between_lines_are_left_out_without_a_difference(threshold, kind, rng):
+    """A few lines on ground that grows darker and brighter along the rows, by more and less than counts."""
+    columns = np.arange(488)
+    image = 60.0 + 40.0 * np.sin(columns / 90.0) + rng.normal(0.0, 2.0, (700, columns.size))
+    for lit in rng.integers(0, 700 - 150, 6):
+        at = rng.uniform(0, columns.size) + 0.2 * np.arange(150)
+        image[lit : lit + 150] += 90.0 * np.exp(-0.5 * ((columns - at[:, None]) / 1.6) ** 2)
+    image = np.clip(np.rint(image), 0, 255).astype(kind)
+    for area in (None, Area(3, 650, 8, 480), Area(0, 700, 1, 487)):
+        found = scanned(image, threshold, area)
+        top, bottom, left, right = area or (0, 700, 0, columns.size)
+        row, first, last = reference(plain_layout(image[top:bottom, left:right]), threshold)
+        assert len(row) > 300
+        same(found, (row + top, first + left, last + left))
 
 
 @settings(deadline=None, max_examples=150)
