@@ -69,7 +69,8 @@ class BeltMotion(Assembler[BeltOptions]):
                 hint="look at the frames: is the laser on, and does the belt run?",
             )
         shift = found.direction * found.way[line, None] * motion.mm_per_count
-        at = line * per_line + first
+        # all lines, as nearly always, are looked at where they are, not copied
+        at = slice(first, None, per_line) if line.size == len(lines.count) else line * per_line + first
         table = points_of_rows(calibration, triangulator)
         x_px, x_std_px = stripes.x_px[at], stripes.x_std_px[at]
         xyz_mm, height_std_mm = placed(x_px, x_std_px, table, middle, shift)
