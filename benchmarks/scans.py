@@ -464,7 +464,7 @@ def memory(count: int, seed: int) -> None:
         many = math.ceil(1000 * count / len(files)) * len(files)
         told = "".join(f"{files[k % len(files)]},{60 * k},{k}\n" for k in range(many))
         (folder / "belt" / "counts.csv").write_text(f"file,encoder_count,frame_number\n{told}")
-        options = {"part_lines": 400, "longest_product_lines": 200}
+        options = {"part_lines": 200, "longest_product_lines": 100}  # of 50 lines or so
         source = {"use": "belt-scan", "path": "belt", "options": options}
         recipe_of(true_calibration(sim), folder, source=source, sinks=["csv"])
         command = [sys.executable, "-m", "roemetry", "run", "recipe.yaml", "--out", "results", "--json"]
@@ -474,7 +474,7 @@ def memory(count: int, seed: int) -> None:
         found = len((folder / "results" / "results.csv").read_text().splitlines()) - 1
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
     print(
-        f"{many} frames of 1280 × 400 in files, parts of 600: {found} products, {peak:.0f} MB at most, "
+        f"{many} frames of 1280 × 400 in files, parts of 300: {found} products, {peak:.0f} MB at most, "
         f"{took:.0f} s"
     )
 

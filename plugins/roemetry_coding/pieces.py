@@ -31,17 +31,8 @@ from roemetry_kernels.tracing import trace_fragments
 
 
 class PiecesOptions(StageOptions):
-    """Steps, breaks and doubt."""
+    """Gaps and doubt."""
 
-    step_max_px: float = Field(
-        default=7.0, gt=0, le=50, description="largest step of a stripe from row to row, px"
-    )
-    smallest_piece_rows: int = Field(
-        default=10, ge=3, description="traced pieces with fewer peaks are noise, rows"
-    )
-    longest_break_rows: int = Field(
-        default=120, ge=0, description="longest break over which a stripe is known again by direction, rows"
-    )
     longest_gap_rows: int = Field(
         default=20, ge=0, description="longest gap along a stripe that is bridged by a straight line, rows"
     )
@@ -50,6 +41,9 @@ class PiecesOptions(StageOptions):
     )
 
 
+_STEP_MAX_PX = 7.0  # of a stripe from row to row: the next stripe lies farther off
+_PIECE_ROWS_MIN = 10  # traced pieces with fewer peaks are noise
+_BREAK_ROWS_MAX = 120  # over which a stripe is known again by its direction
 _PIECES_MAX = 400  # more pieces are noise, not broken stripes
 _PIECES_SHARE_MIN = 0.5  # of all peaks: where less lies in pieces, it is noise
 _NUMBERED_SHARE_MIN = 0.25  # of the peaks in pieces: with less numbered, the rest cannot be told from it
@@ -100,9 +94,9 @@ class Pieces(Coder[PiecesOptions]):
                 hint="with a calibration use the coder `planes`; for numbers alone leave the calibration out",
             )
         refuse_uncodable(peaks, None)
-        fragment, _ = trace_fragments(peaks.row_start, peaks.x_px, options.step_max_px)
+        fragment, _ = trace_fragments(peaks.row_start, peaks.x_px, _STEP_MAX_PX)
         rows = np.bincount(fragment)
-        big = rows >= options.smallest_piece_rows
+        big = rows >= _PIECE_ROWS_MIN
         share = rows[big].sum() / len(peaks)
         if big.sum() > _PIECES_MAX or share < _PIECES_SHARE_MIN:
             raise StageError(
@@ -110,8 +104,8 @@ class Pieces(Coder[PiecesOptions]):
                 "not stripes",
                 hint="raise the extractor's threshold",
             )
-        pieces = pieces_of(peaks, fragment, options.smallest_piece_rows)
-        numbers = numbers_of(pieces, options.longest_break_rows, options.margin_min)
+        pieces = pieces_of(peaks, fragment, _PIECE_ROWS_MIN)
+        numbers = numbers_of(pieces, _BREAK_ROWS_MAX, options.margin_min)
         stripe = np.full(len(peaks), UNLABELLED, np.int64)
         margin = np.full(len(peaks), np.nan)
         for part, number, sure in zip(pieces.peaks, numbers.number, numbers.margin, strict=True):

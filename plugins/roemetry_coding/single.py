@@ -184,7 +184,7 @@ def brightest_path(row_start: Integers, x_px: Floats, amplitude: Floats) -> tupl
 def _least(row_start: Integers, x_px: Floats, own: Floats, backwards: bool) -> Floats:
     """Give for each peak the least cost of all rows up to it, itself included; backwards, from it on."""
     rows = row_start.size - 1
-    cost = np.empty(own.size)
+    cost, cheapest = np.empty(own.size), np.full(rows, np.inf)
     so_far = 0.0  # the least of any path that ends in a row before those looked back at, up to this row
     for done in range(rows):
         row = rows - 1 - done if backwards else done
@@ -193,12 +193,14 @@ def _least(row_start: Integers, x_px: Floats, own: Floats, backwards: bool) -> F
             best = jumped
             for back in range(1, min(_LOOK_BACK_ROWS, done) + 1):
                 other = row + back if backwards else row - back
+                if cheapest[other] + (back - 1) * _SKIP >= best:
+                    continue
                 for q in range(row_start[other], row_start[other + 1]):
                     step = min(abs(x_px[p] - x_px[q]) / (back * _STEEP_PX), _JUMP)
                     best = min(best, cost[q] + step + (back - 1) * _SKIP)
             cost[p] = best + own[p]
-        least = so_far + _SKIP
         for p in range(row_start[row], row_start[row + 1]):
-            least = min(least, cost[p])
+            cheapest[row] = min(cheapest[row], cost[p])
+        least = min(so_far + _SKIP, cheapest[row])
         so_far = least
     return cost

@@ -134,6 +134,7 @@ def _scan_made(kind: type[np.unsignedinteger[Any]]) -> Any:
         ended = ended_words.view(kind)
         extreme, falling, top_here = np.empty(LANES, kind), np.empty(LANES, kind), np.empty(LANES, kind)
         top_before = np.empty(LANES, np.int32)
+        dark, lowest = gathered.view(kind), np.empty(LANES * tile, kind)
         start = np.empty(LANES + 1, np.uint64)
         ends_in, of_lane = np.empty(groups, np.uint64), np.empty(one_tile, np.uint64)
         columns = right - left
@@ -148,21 +149,27 @@ def _scan_made(kind: type[np.unsignedinteger[Any]]) -> Any:
             extreme[:] = full
             falling[:] = 0
             top_before[:] = left
+            lowest[:] = full
             start[:] = 0
             found: Any = np.uint64(0)
+            rising, darker = True, False
             for x in range(0, columns, CHUNK):
                 width = min(CHUNK, columns - x)
                 fetched = (width + tile - 1) // tile
                 begin = (first_row + y - top) * pitch + first_word + x // tile
                 gather(
-                    line,
-                    np.uint64(begin),
-                    np.uint64(pitch),
-                    np.uint64(rows),
-                    np.uint64(fetched),
-                    one_tile,
+                    line, np.uint64(begin), np.uint64(pitch), np.uint64(rows), np.uint64(fetched), one_tile,
                     gathered,
-                )
+                )  # fmt: skip
+                may_skip = rising and width % tile == 0
+                taken = np.uint64(fetched)
+                if may_skip and keeps_level(dark, taken, one_tile, threshold, extreme, lowest):
+                    darker = True
+                    continue
+                if darker:
+                    lower_to(lowest, one_tile, extreme)
+                    lowest[:] = full
+                    darker = False
                 top_here[:] = 1
                 if of_bytes:
                     turn_bytes(gathered, turned)
@@ -170,6 +177,7 @@ def _scan_made(kind: type[np.unsignedinteger[Any]]) -> Any:
                 else:
                     turn_pairs(gathered, turned)
                     steps_of_pairs(levels, width, threshold, extreme, falling, top_here, ended)
+                rising = not falling.any()
                 # Peaks end in few tiles of so many columns and lanes; there most often once a lane.
                 for c in range(np.uint64(0), np.uint64(width), one_tile):
                     for w in range(groups):
@@ -280,6 +288,52 @@ def gather(words: Words, begin: int, pitch: int, rows: int, count: int, tile: in
         else:
             for c in range(count):
                 gathered[to + c * groups] = words[from_word + c]
+
+
+@inlined
+def keeps_level(dark: Levels, count: int, tile: int, threshold: int, extreme: Levels, lowest: Levels) -> bool:
+    """Say whether no lane can rise by more than the threshold in what was gathered; if so, note its lows.
+
+    Most of an image between stripes is so: neither turned nor searched.
+
+    Parameters
+    ----------
+    dark
+        What `gather` filled, in pixels.
+    count, tile, threshold
+        How many words of each row it took; pixels in a word; grey levels.
+    extreme, lowest
+        (lane,) lowest level so far of each lane, of which none looks for a fall; and (lane × tile) the same
+        since `lower_to`, in the order in which pixels were gathered; changed.
+    """
+    row, words = _LANES, _CHUNK // tile
+    low = high = dark[0]
+    for r in range(tile):
+        begin, some = r * words * row, count * row
+        for k in range(some):
+            low = min(low, dark[begin + k])
+            high = max(high, dark[begin + k])
+        if int(high) - int(low) > threshold:
+            return False
+    low = min(low, min(np.min(extreme), np.min(lowest)))
+    if int(high) - int(low) > threshold:
+        return False
+    for r in range(tile):
+        for c in range(count):
+            begin, to = (r * words + c) * row, r * row
+            for k in range(row):
+                lowest[to + k] = min(lowest[to + k], dark[begin + k])
+    return True
+
+
+@inlined
+def lower_to(lowest: Levels, tile: int, extreme: Levels) -> None:
+    """Carry the lows of `keeps_level` over to the lanes, in place."""
+    groups = _LANES // tile
+    for word in range(_LANES):  # the words of one row of tiles lie one after the other
+        lane = word % groups * tile + word // groups
+        for k in range(tile):
+            extreme[lane] = min(extreme[lane], lowest[word * tile + k])
 
 
 @kernel

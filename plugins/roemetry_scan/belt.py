@@ -31,6 +31,8 @@ _BELOW = 4.0
 """A point below a plane counts against so many near it: nothing lies below the belt."""
 _LEAN_MAX = 0.35
 """Of a belt against Z, tangent: 19°. What leans more is a product's flank."""
+_EDGE_MM = 0.15
+"""Least height over the belt that is product, where its points' scatter would allow less."""
 _NOISE_FACTOR = 4.0
 """Standard deviations above the belt from which a point is no noise."""
 
@@ -43,9 +45,6 @@ class BeltOptions(StageOptions):
     )
     height_min_mm: float = Field(
         default=1.5, gt=0, le=500, description="a product rises so far over the belt somewhere, mm"
-    )
-    edge_mm: float = Field(
-        default=0.15, ge=0, le=500, description="least height over the belt that is product, mm"
     )
     gap_mm: float = Field(default=2.0, ge=0, le=500, description="closer pieces are one product, mm")
     area_min_mm2: float = Field(default=25.0, ge=0, description="smaller ones are dirt, mm²")
@@ -126,7 +125,7 @@ def products_on(
     """
     import cv2
 
-    edge = max(options.edge_mm, _NOISE_FACTOR * noise_mm)
+    edge = max(_EDGE_MM, _NOISE_FACTOR * noise_mm)
     seen = np.isfinite(height_mm)
     with np.errstate(invalid="ignore"):
         high = np.ascontiguousarray((height_mm > edge).astype(np.uint8))

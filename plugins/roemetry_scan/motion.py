@@ -269,6 +269,7 @@ def _faces(target: Pyramid) -> Distances:
     offsets = np.array([target.height_mm, *[0.5 * target.base_mm / size] * 4])
 
     def distances(points: Floats) -> Floats:
+        """Give (point,) signed distances from the surface, mm, of points (point, 3); NaN near the belt."""
         off = (points @ normals.T - offsets).max(axis=1)
         return np.where(points[:, 2] > 0.1 * target.height_mm, off, np.nan)
 
@@ -284,6 +285,7 @@ def _balls(target: SpherePlate) -> Distances:
     first = -0.5 * target.pitch_mm * np.array([target.columns - 1, target.rows - 1])
 
     def distances(points: Floats) -> Floats:
+        """Give (point,) signed distances from the nearest ball's surface, mm, of points (point, 3)."""
         at = (points[:, :2] - first) / target.pitch_mm
         nearest = np.clip(np.rint(at), 0, [target.columns - 1, target.rows - 1])
         away = points.copy()

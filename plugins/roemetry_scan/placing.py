@@ -41,6 +41,8 @@ _NEAR_MM = 0.3
 _BELT_POINTS = 100_000
 """Points that tell the belt's plane, to a thousandth of their scatter; all of a scan are 100 MB more."""
 
+_AT_ONCE = 128
+"""Image rows, or lines, that are looked at together: a copy of all of a long scan's heights is megabytes."""
 _STRAY_FACTOR = 2.0
 """Of a belt point's usual uncertainty: stray light has 3.0 to 7 of it, belt up to 1.25 (seed 9500)."""
 
@@ -67,7 +69,8 @@ class BeltMotion(Assembler[BeltOptions]):
                 hint="look at the frames: is the laser on, and does the belt run?",
             )
         shift = found.direction * found.way[line, None] * motion.mm_per_count
-        at = line * per_line + first
+        # all lines, as nearly always, are looked at where they are, not copied
+        at = slice(first, None, per_line) if line.size == len(lines.count) else line * per_line + first
         table = points_of_rows(calibration, triangulator)
         x_px, x_std_px = stripes.x_px[at], stripes.x_std_px[at]
         xyz_mm, height_std_mm = placed(x_px, x_std_px, table, middle, shift)
@@ -131,9 +134,8 @@ class BeltMotion(Assembler[BeltOptions]):
             plane = plane_of_belt(_some(profiles.xyz_mm, known), _NEAR_MM)
             profiles = _on_belt(profiles, plane)
         height = np.where(known, profiles.xyz_mm[..., 2], np.nan)
-        near = np.abs(height) < _NEAR_MM
         if self.options.belt == "fit":
-            noise = 1.4826 * float(np.median(np.abs(height[near])))
+            noise = 1.4826 * float(np.median(np.abs(height[np.abs(height) < _NEAR_MM])))
         steps = (_usual(profiles.xyz_mm, 0), _usual(profiles.xyz_mm, 1))
         number = products_on(height, steps, noise, self.options)
         number[_strayed(profiles.height_std_mm, number == 0)] = -1
@@ -142,8 +144,9 @@ class BeltMotion(Assembler[BeltOptions]):
         figures = profiles.scan
         if figures is not None:
             figures = replace(figures, jitter_mm=_jitter(height, number, noise))
-        found = replace(profiles, product=number, seen=profiles.seen & (number >= 0), scan=figures)
-        return _with_flanks(found)
+        profiles = replace(profiles, product=number, seen=profiles.seen & (number >= 0), scan=figures)
+        del height, known, number
+        return _with_flanks(profiles)
 
     def motion(
         self, stripes: StripeMap, lines: ScanLines, calibration: Calibration, triangulator: Triangulator[Any],
@@ -217,11 +220,14 @@ def _strayed(std_mm: Floats, belt: Flags) -> Flags:
     That row shows no belt, or a flank too dim to stand out. Such light is much dimmer, so much less certain
     than the belt of the same row in other slices.
     """
-    stated = np.where(belt, std_mm, np.nan)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a row without belt
-        usual = np.nanmedian(stated, axis=0)
-    strayed: Flags = stated > _STRAY_FACTOR * usual
+    strayed = np.empty(belt.shape, np.bool_)
+    for begin in range(0, belt.shape[1], _AT_ONCE):
+        some = slice(begin, begin + _AT_ONCE)
+        stated = np.where(belt[:, some], std_mm[:, some], np.nan)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # a row without belt
+            usual = np.nanmedian(stated, axis=0)
+        np.greater(stated, _STRAY_FACTOR * usual, out=strayed[:, some])
     return strayed
 
 
@@ -240,12 +246,18 @@ def _owned(number: Any, frame: Any, own: tuple[int, int]) -> Any:
 
 def _jitter(height_mm: Floats, number: Any, noise_mm: float) -> float:
     """Give how much the belt's height scatters from line to line beyond what its points' noise makes, mm."""
-    belt = np.where(number == 0, height_mm, np.nan)
-    many = np.isfinite(belt).sum(axis=1)
+    many, mean = np.empty(len(height_mm), np.int64), np.empty(len(height_mm))
+    for begin in range(0, len(height_mm), _AT_ONCE):
+        some = slice(begin, begin + _AT_ONCE)
+        belt = np.where(number[some] == 0, height_mm[some], np.nan)
+        many[some] = np.isfinite(belt).sum(axis=1)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # a line without belt
+            mean[some] = np.nanmean(belt, axis=1)
     good = many >= 10
     if np.count_nonzero(good) < 3:
         return 0.0
-    mean = np.nanmean(belt[good], axis=1)
+    mean = mean[good]
     expected = noise_mm**2 * float(np.mean(1.0 / many[good]))
     return math.sqrt(max(0.0, float(mean.var()) - expected))
 

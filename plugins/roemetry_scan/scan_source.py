@@ -18,13 +18,14 @@ import math
 import re
 from array import array
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from roemetry.errors import DataError
 from roemetry.io.files import is_file
@@ -35,6 +36,11 @@ from roemetry.stages import Capabilities, Source, StageOptions
 _IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg")
 _VIDEOS = (".avi", ".mp4", ".mkv", ".mov")
 _COUNT, _NUMBER, _FILE = "encoder_count", "frame_number", "file"
+_COUNT_IN_NAME = r"c(-?\d+)"
+"""Of a frame in a folder without counts.csv, which can say the same of files with any other names."""
+_DECODERS, _AHEAD = 2, 4
+"""Threads that decode a folder's frames, and how many frames they are ahead: with two, decoding keeps up with
+measuring where there are two cores."""
 _LOOK_BACK = 2
 """Lines before a part's own: enough to see that a product has begun before."""
 
@@ -42,26 +48,10 @@ _LOOK_BACK = 2
 class BeltScanOptions(StageOptions):
     """Options of `BeltScan`."""
 
-    name_pattern: str = Field(
-        default=r"c(?P<count>-?\d+)",
-        description="regular expression that finds `count`, and perhaps `frame`, in a frame's name, where a "
-        "folder has no counts.csv",
-    )
     part_lines: int = Field(default=2000, ge=10, description="lines in which the products of a part begin")
     longest_product_lines: int = Field(
         default=1000, ge=3, description="lines of the longest product: parts overlap by so many"
     )
-
-    @field_validator("name_pattern")
-    @classmethod
-    def _has_a_count(cls, pattern: str) -> str:
-        try:
-            named = re.compile(pattern).groupindex
-        except re.error as error:
-            raise ValueError(f"not a regular expression: {error}") from None
-        if "count" not in named:
-            raise ValueError("expected a group (?P<count>…)")
-        return pattern
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +78,7 @@ class BeltScan(Source[BeltScanOptions]):
             opened.cache_clear()  # files may have changed
         found: list[AcquisitionReference] = []
         for scan in _scans(path):
-            lines = len(_table(scan, self.options.name_pattern).count)
+            lines = len(_table(scan).count)
             step = self.options.part_lines
             parts = max(1, math.ceil((lines - self.options.longest_product_lines) / step))
             for part in range(parts):
@@ -110,10 +100,10 @@ class BeltScan(Source[BeltScanOptions]):
         scan = reference.files.get("laser", reference.scan)
         if not scan.is_dir():
             (_video if scan.suffix.lower() in _VIDEOS else _tall)(scan)
-        table = _table(scan, self.options.name_pattern)
+        table = _table(scan)
         begin, end = reference.begin, reference.end
         lines = ScanLines(
-            _Reader(scan, table, begin), table.count[begin:end], table.number[begin:end],
+            _Reader(scan, table, begin, end), table.count[begin:end], table.number[begin:end],
             reference.own, begin,
         )  # fmt: skip
         return Acquisition(reference.id, (), lines=lines)
@@ -129,19 +119,33 @@ class _Table:
     """Of a folder: its frames' names."""
 
 
-@dataclass(frozen=True)
 class _Reader:
-    """Reads a line's frame; what was opened for one is kept for the next."""
+    """Reads a line's frame; what was opened for one is kept for the next.
 
-    scan: Path
-    table: _Table
-    begin: int
+    While a frame of a folder is measured, the next ones are decoded: that takes longer for a PNG, and OpenCV
+    lets other threads run meanwhile.
+    """
+
+    def __init__(self, scan: Path, table: _Table, begin: int, end: int) -> None:
+        self.scan, self.table, self.begin, self.end = scan, table, begin, end
+        self._next, self._ahead = begin, dict[int, Future[Any]]()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Leave out what is being decoded."""
+        return _Reader, (self.scan, self.table, self.begin, self.end)
+
+    def _image(self, at: int) -> Any:
+        in_turn, self._next = at == self._next, at + 1
+        for one in range(at, min(at + 1 + _AHEAD, self.end) if in_turn else at):
+            if one not in self._ahead:
+                self._ahead[one] = _decoders().submit(_decoded, self.scan / self.table.files[one])
+        begun = self._ahead.pop(at, None)
+        return _decoded(self.scan / self.table.files[at]) if begun is None else begun.result()
 
     def __call__(self, line: int) -> Frame:
         at = self.begin + line
         if self.table.files:
-            name = self.table.files[at]
-            return _frame(_decoded(self.scan / name), name)
+            return _frame(self._image(at), self.table.files[at])
         if self.scan.suffix.lower() in _VIDEOS:
             return _frame(_video(self.scan)(at), f"{self.scan.name}, frame {at}")
         whole = _tall(self.scan)
@@ -171,6 +175,11 @@ def _decoded(path: Path) -> Any:
     if image is None:
         raise DataError(f"{path}: not an image, cut off, or damaged")
     return image
+
+
+@lru_cache(maxsize=1)
+def _decoders() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(_DECODERS)
 
 
 @lru_cache(maxsize=1)
@@ -241,12 +250,12 @@ def _frames_in(folder: Path) -> list[Path]:
 
 
 @lru_cache(maxsize=1)
-def _table(scan: Path, pattern: str) -> _Table:
+def _table(scan: Path) -> _Table:
     """Read counts and numbers of a scan's lines; DataError with the file's line where that fails."""
     folder = scan.is_dir()
     path = scan / "counts.csv" if folder else scan.with_suffix(".csv")
     if folder and not is_file(path):
-        return _by_names(scan, pattern)
+        return _by_names(scan)
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -278,15 +287,12 @@ def _table(scan: Path, pattern: str) -> _Table:
     return _Table(count, number, files)
 
 
-def _by_names(scan: Path, pattern: str) -> _Table:
-    """Take counts and numbers from the names of frames; NaN where a name has none."""
+def _by_names(scan: Path) -> _Table:
+    """Take counts from the names of frames; NaN where a name has none."""
     files = tuple(_frames_in(scan))
-    found = [re.search(pattern, one.stem) for one in files]
-    count = np.array([math.nan if one is None else float(one["count"]) for one in found])
-    numbers = [one.groupdict().get("frame") if one is not None else None for one in found]
-    known = all(number is not None for number in numbers)
-    number = np.array([int(one or 0) for one in numbers] if known else np.arange(len(files)), np.int64)
-    return _Table(count, number, tuple(one.name for one in files))
+    found = [re.search(_COUNT_IN_NAME, one.stem) for one in files]
+    count = np.array([math.nan if one is None else float(one[1]) for one in found])
+    return _Table(count, np.arange(len(files)), tuple(one.name for one in files))
 
 
 def _number(path: Path, line: int, row: dict[str, str], column: str) -> float:

@@ -72,7 +72,8 @@ class Peaks(Shown):
                 f"x_px is outside −0.5…{columns - 0.5}, or not a number",
             )
         check.finish()
-        start = np.searchsorted(row, np.arange(rows + 1))
+        start = np.zeros(rows + 1, np.int64)
+        np.cumsum(np.bincount(row, minlength=rows), out=start[1:])
         start.flags.writeable = False
         object.__setattr__(self, "row_start", start)
 

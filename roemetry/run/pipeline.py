@@ -203,11 +203,14 @@ class Pipeline:
             made, placed, triangulator = calibration, lines, self._stages["triangulator"]
             stripes = steps.do("coder", lambda: gather(placed, self._frame, self._stages, made))
             if stripes is not None:
-                raw = stripes
-                slices = steps.do("assembler", lambda: assembler.place(raw, placed, made, triangulator))
+                place = partial(assembler.place, stripes, placed, made, triangulator)
+                slices = steps.do("assembler", place)
+                del place
         if slices is not None:
             own = None if lines is None else lines.own
-            slices = steps.do("assembler", partial(assembler.label, slices, own))
+            unlabelled = [slices]  # handed over, not kept: each set of slices of a long part takes 30 MB
+            del slices
+            slices = steps.do("assembler", lambda: assembler.label(unlabelled.pop(), own))
         products: tuple[ProductTrace, ...] = ()
         if slices is not None:
             view = None

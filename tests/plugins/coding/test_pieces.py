@@ -103,10 +103,11 @@ def test_stripes_moved_aside_by_one_spacing_are_not_taken_for_their_neighbours(
     x_px[1:-1, 120:170] = np.nan
     if back:
         x_px[1:-1, 240:250] = np.nan
+    assert numbered(refused_or_right(x_px)) == 1.0  # where nothing is moved
     x_px[1:-1, moved] += off_spacings * SPACING_PX
     hidden = STRIPES - 2 if off_spacings > 0 else 1  # it would lie on the one that goes through
     x_px[hidden, moved] = np.nan
-    refused_or_right(x_px)
+    assert numbered(refused_or_right(x_px)) < 1.0
 
 
 def test_a_front_from_end_to_end_has_nothing_to_count_from() -> None:
@@ -139,9 +140,10 @@ def test_bodies_beside_a_dead_stripe_do_not_take_its_number(off_spacings: float,
     x_px = lines(lean=0.05)
     body = slice(dead + 1, STRIPES - 1) if off_spacings < 0 else slice(1, dead)
     x_px[body, 95:105] = x_px[body, 200:210] = np.nan
+    assert numbered(refused_or_right(x_px)) == 1.0  # where nothing is moved
     x_px[body, 105:200] += off_spacings * SPACING_PX
     x_px[dead] = np.nan
-    refused_or_right(x_px)
+    assert numbered(refused_or_right(x_px)) < 1.0
 
 
 def test_glare_across_the_stripes_takes_no_number_and_specks_and_lost_rows_cost_none(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from benchmarks.scans import (
     true_calibration,
 )
 from roemetry.config.recipe import Recipe
-from roemetry.errors import CalibrationError
+from roemetry.errors import CalibrationError, DataError
 from roemetry.records import Frame, Measurement, ScanLines, StripeMap
 from roemetry.records.calibration import Calibration
 from roemetry.records.scan import Motion
@@ -30,6 +31,7 @@ from roemetry.run.open_parts import split_products
 from roemetry_pinhole.pinhole_plane import PinholePlane
 from roemetry_scan.dense import DenseSlices
 from roemetry_scan.placing import BeltMotion
+from roemetry_scan.scan_source import BeltScan
 
 FRUSTUM = {"length_mm": 40, "width_mm": 30, "top_share": 0.5, "height_mm": 12}
 TRUE_MM3 = 40 * 30 * 12 * (1 + 0.5 + 0.25) / 3
@@ -194,6 +196,23 @@ def test_parts_and_single_frames_measure_what_the_whole_does(tmp_path: Path, fra
     (row,) = rows(tmp_path, source=source, uncertainty="none")
     assert "lines-unreadable" in {reason.code for reason in row.reasons}
     assert value(row) == pytest.approx(TRUE_MM3, rel=0.01)
+
+
+def test_frames_decoded_ahead_are_those_of_their_lines_in_any_order(tmp_path: Path, frames) -> None:
+    for k, frame in enumerate(frames):
+        cv2.imwrite(str(tmp_path / f"c{50 * k}.png"), frame)
+    (tmp_path / "c1000.png").write_bytes(b"damaged")
+    source = BeltScan()
+    (reference,) = source.references(tmp_path)
+    lines = source.read(reference).lines
+    assert lines is not None
+    with pytest.raises(DataError, match="c1000"):
+        lines.frame(20)
+    lines.frame(0)
+    again = pickle.loads(pickle.dumps(lines.frame))  # while the next ones are decoded
+    for read in (lines.frame, again):
+        for k in (*range(19), 3, 21, *range(17, 20), len(frames) - 1, *range(21, len(frames))):
+            assert np.array_equal(read(k).pixels, frames[k])
 
 
 @pytest.mark.parametrize(
