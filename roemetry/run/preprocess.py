@@ -72,7 +72,7 @@ def prepare(
     check_lines(laser)
     if acquisition.before is not None:
         check_repeats(laser, acquisition.before)
-    pixels = _one_channel(laser, channel, contrast, turn_deg)
+    pixels, scale = _one_channel(laser, channel, contrast, turn_deg)
     if subtract == "dark":
         dark = acquisition.frame("dark")
         if dark is None:
@@ -80,7 +80,7 @@ def prepare(
                 f"{acquisition.id}: there is no dark image to subtract",
                 hint="name the dark images in source.options.dark, or set source.subtract to none",
             )
-        off = _one_channel(dark, channel, contrast, turn_deg)
+        off, _ = _one_channel(dark, channel, contrast, turn_deg, scale)
         if off.shape != pixels.shape or off.dtype != pixels.dtype:
             raise DataError(
                 f"{acquisition.id}: the dark image is {off.shape} {off.dtype}, "
@@ -124,17 +124,20 @@ def _turned(pixels: NDArray[Any], turn_deg: int) -> NDArray[Any]:
     return np.ascontiguousarray(np.rot90(pixels, turn_deg // 90) if turn_deg else pixels)
 
 
-def _one_channel(frame: Frame, channel: str, contrast: str, turn_deg: int) -> NDArray[Any]:
+def _one_channel(
+    frame: Frame, channel: str, contrast: str, turn_deg: int, scale: float | None = None
+) -> tuple[NDArray[Any], float]:
+    """Give one channel and its scale; `scale` is that of the image from which it is to be subtracted."""
     pixels = frame.pixels if turn_deg == 0 else np.rot90(frame.pixels, turn_deg // 90)
-    if pixels.ndim == 2:
-        return np.ascontiguousarray(pixels)
-    if contrast != "none":
-        return _contrast(pixels, _BLUE_GREEN_RED[contrast], float(frame.white))
-    if channel == "max":
-        return np.ascontiguousarray(pixels.max(axis=2))
-    if channel == "grey":
-        return np.ascontiguousarray(np.rint(pixels @ _LUMA).astype(pixels.dtype))
-    return np.ascontiguousarray(pixels[:, :, _BLUE_GREEN_RED[channel]])
+    if pixels.ndim == 3 and contrast != "none":
+        return _contrast(pixels, _BLUE_GREEN_RED[contrast], float(frame.white), scale)
+    if pixels.ndim == 3 and channel == "max":
+        pixels = pixels.max(axis=2)
+    elif pixels.ndim == 3 and channel == "grey":
+        pixels = np.rint(pixels @ _LUMA).astype(pixels.dtype)
+    elif pixels.ndim == 3:
+        pixels = pixels[:, :, _BLUE_GREEN_RED[channel]]
+    return np.ascontiguousarray(pixels), 1.0
 
 
 _SAMPLE = 20_000  # pixels that the others' share is fitted to: good to a grey level
@@ -153,8 +156,13 @@ _ROOM_MIN = 0.2  # of white, in the sum of two channels: less is not told from n
 _NEAR_PX = 41  # in which the brightest light is looked for: the widest line that extractors take by default
 
 
-def _contrast(pixels: NDArray[Any], own: int, white: float) -> NDArray[Any]:
-    """(row, column) the laser's light in its own channel; see the module's text."""
+def _contrast(
+    pixels: NDArray[Any], own: int, white: float, scale: float | None
+) -> tuple[NDArray[Any], float]:
+    """(row, column) the laser's light in its own channel, and its scale; see the module's text.
+
+    A scale that is given is taken, and no core looked for: there is none in an image without the laser.
+    """
     others = [k for k in range(3) if k != own]
     some = pixels.reshape(-1, pixels.shape[2])[:: max(1, pixels.shape[0] * pixels.shape[1] // _SAMPLE)]
     some = some[some[:, own] < white].astype(np.float64)
@@ -173,15 +181,18 @@ def _contrast(pixels: NDArray[Any], own: int, white: float) -> NDArray[Any]:
     out[clipped] = white
     lamp_or_core = (rest >= _ALL_WHITE * white) | (pixels[:, :, others].min(axis=2) >= _ALL_WHITE * white)
     _decide_by_ends(out, light, clipped & lamp_or_core, white)
-    _raise_cores(out, pixels[:, :, others], white)
-    return np.ascontiguousarray(np.rint(out).astype(pixels.dtype))
+    if scale is None:
+        scale = _raise_cores(out, pixels[:, :, others], white)
+    else:
+        out *= scale
+    return np.ascontiguousarray(np.rint(out).astype(pixels.dtype)), scale
 
 
-def _raise_cores(contrast: NDArray[np.float32], others: NDArray[Any], white: float) -> None:
-    """Let the other channels tell a core from its halo where both are clipped; scales all contrast down."""
+def _raise_cores(contrast: NDArray[np.float32], others: NDArray[Any], white: float) -> float:
+    """Let the other channels tell a core from its halo where both are clipped; give the contrast's scale."""
     rows = np.flatnonzero((contrast >= white).any(axis=1))
     if not rows.size:
-        return
+        return 1.0
     import cv2
 
     clipped = contrast[rows] >= white
@@ -190,9 +201,10 @@ def _raise_cores(contrast: NDArray[np.float32], others: NDArray[Any], white: flo
     room = np.maximum(2.0 * white - beside, _ROOM_MIN * white)
     excess = np.where(clipped, np.clip((light - beside) / room, 0.0, 1.0), 0.0)
     cores = float(np.quantile(excess.max(axis=1), _CORES_QUANTILE))
-    scale = _HEADROOM * min(max(4.0 * cores - 1.0, 0.0), 1.0)  # from a quarter on, wholly from a half on
-    contrast *= 1.0 - scale
-    contrast[rows] += scale * white * excess
+    kept = _HEADROOM * min(max(4.0 * cores - 1.0, 0.0), 1.0)  # from a quarter on, wholly from a half on
+    contrast *= 1.0 - kept
+    contrast[rows] += kept * white * excess
+    return 1.0 - kept
 
 
 def _decide_by_ends(

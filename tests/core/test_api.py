@@ -178,6 +178,29 @@ def test_contrast_finds_a_core_whose_halo_is_cut_by_dark_print(black_right, rng)
     assert np.abs(middles - 100.0).max() <= 2.0
 
 
+def test_contrast_of_the_dark_image_is_subtracted_at_the_scale_of_the_laser_image(rng) -> None:
+    """A red mark is in both; an overexposed core halves the laser image's contrast alone."""
+    dark = np.full((60, 200, 3), 40.0) * rng.uniform(1.0, 4.0, (60, 1, 1))
+    dark[:, 20:50, :2] = 40.0
+    dark[:, 20:50, 2] = 200.0
+    away = np.arange(200) - 120.0
+    halo, core = np.exp(-0.5 * (away / 12.0) ** 2), np.exp(-0.5 * (away / 3.0) ** 2)
+    light = np.stack([200.0 * core, 200.0 * core, 300.0 * halo + 1500.0 * core], axis=1)[None]
+    light[:, 34:37, 2] += 40.0  # a faint line on the mark
+    laser, off = (
+        np.clip(np.rint(one + rng.normal(0.0, 1.0, dark.shape)), 0, 255).astype(np.uint8)
+        for one in (dark + light, dark)
+    )
+    alone, less = (
+        prepare(acquisition(laser=laser, dark=off), contrast="red", turn_deg=0, subtract=how).pixels
+        for how in ("none", "dark")
+    )
+    assert 60 < np.median(alone[:, 25:45]) < 100, "the mark's contrast, halved"
+    assert np.delete(less[:, 25:45], [9, 10, 11], axis=1).max() < 15
+    assert less[:, 34:37].min() > 8
+    assert less[:, 119:122].min() > 200
+
+
 def test_a_turn_is_a_rotation_counter_clockwise_and_no_mirror() -> None:
     turned = ready(acquisition(laser=PICTURE), turn_deg=90)
     assert turned.pixels.tolist() == [[3, 7, 11], [2, 6, 10], [1, 5, 9], [0, 4, 8]]
