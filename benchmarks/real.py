@@ -73,14 +73,14 @@ def main() -> None:
             rows.append([name, *judged(known, found)])
             if title != "turntable, grey":
                 follows.append([title, name, *followed(known, found)])
-            if title == "turntable, green":
+            if title.startswith("turntable"):
                 rows[-1] += repeated(found)
             if given.out:
                 for image, peaks in list(zip(known, found, strict=True))[::6]:
                     draw(given.out / f"{title}, {image.name}, {name}.png".replace(", ", "-"), image, peaks)
         head = ["extractor", "rows with a line", "without a peak", f"> {_FAR_PX:.0f} px off", "rms off, px"]
         head += ["95 % intervals hold, %", "others a row"]
-        head += ["repeats on the wall, px", "stated there, px"] if title == "turntable, green" else []
+        head += ["repeats on the wall, px", "stated there, px"] if title.startswith("turntable") else []
         tables.append(Table(title, head, rows))
         print(tables[-1], flush=True)
     head = ["set", "extractor", "rows with a line", "followed, %", f"of these > {_FAR_PX:.0f} px off, %"]

@@ -100,6 +100,7 @@ def _swap(count: int) -> Spoil:
     """Give each of `count` poses the laser image of the next; 0: all of them."""
 
     def spoil(shots: Shots, rng: np.random.Generator) -> None:
+        """Exchange the laser images of some poses, drawn at random."""
         poses = shots.poses(rng)
         poses = poses[: count or len(poses)]
         laser = shots.images["board_laser"]
@@ -139,6 +140,7 @@ def _second_pitch(factor: float) -> Spoil:
     """Share the poses out over two boards, of which one is described wrongly."""
 
     def spoil(shots: Shots, rng: np.random.Generator) -> None:
+        """Give half of the poses, drawn at random, to the second board."""
         second = copy.deepcopy(shots.rig["board"]) | {"name": "the second"}
         _grown(second, factor)
         shots.rig["more_boards"] = [{"board": second}]
@@ -517,6 +519,7 @@ def _remember() -> None:
     kept: dict[tuple[int, Board], Marks | BoardNotFoundError] = {}
 
     def find_marks(frame: Frame, board: Board) -> Marks:
+        """Find a board, or say again why it cannot be used."""
         key = hash(frame.pixels.tobytes()), board
         if key not in kept:
             try:

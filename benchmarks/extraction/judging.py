@@ -274,6 +274,7 @@ def _smoothing(smoother: Smoother[Any] | None, extractor: Extractor[Any]) -> Smo
     """Give what extracts, labels by the truth, and filters."""
 
     def smooth(drawn: Drawn) -> StripeMap:
+        """Give the map of a drawn image, filtered."""
         peaks = extractor.extract(frame_of(drawn.pixels, drawn.light))
         found = hits(drawn.stripes, found_in(peaks))
         stripes = _labelled(drawn.stripes, found, peaks.correlation_rows)

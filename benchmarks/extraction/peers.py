@@ -148,6 +148,7 @@ def compiled(reach: int, *, weighted: bool) -> Callable[[Pixels], Found]:
     """Give the extractor in C++ that looks at `reach` pixels on both sides of a top."""
 
     def find(pixels: Pixels) -> Found:
+        """Find the peaks of an image by the compiled library."""
         rows, columns = pixels.shape
         room = _PEAKS_A_ROW * rows
         row, x_px = np.empty(room), np.empty(room)

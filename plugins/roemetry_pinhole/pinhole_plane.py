@@ -118,6 +118,7 @@ def by_parameter(calibration: Calibration, of: Callable[[Mapping[str, Floats]], 
     ends = np.cumsum([array.size for array in known.values()])[:-1]
 
     def moved(number: int, by: float) -> Floats:
+        """Give what `of` says of the calibration with one parameter moved."""
         values = flat(known)
         values[number] += by
         parts = zip(known.items(), np.split(values, ends), strict=True)

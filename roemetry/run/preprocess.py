@@ -9,8 +9,15 @@ again. The contrast is
 
 The denominator keeps clipped light clipped. Where the laser's channel is clipped (JPEG leaves ripples: from
 0.98 white on) and the others are nearly white, too, nothing is left to compare: an overexposed stripe's core
-looks like a lamp. The pixels beside decide: such light gets the smaller of the contrasts at both ends of it
-along the row, since a stripe's core has the laser's colour on both sides.
+looks like a lamp. The pixels beside decide: such light gets the smaller of the shares that contrast has of
+the light at both ends of it along the row, since a stripe's core has the laser's colour on both sides.
+
+Where a stripe's halo clips the laser's channel as well, its core is not seen there, and the middle of what is
+clipped moves with the print below: on black the halo is no longer clipped, on white it is. The other channels
+go on. Their filters pass a little of the laser, so they show the core alone, as a shorter exposure would. A
+clipped pixel's excess is by how much they rise above the brightest light near it that is not clipped, over
+what is left to white, so that print is not taken for it; where the image shows such cores, the contrast is
+halved to leave room for it.
 
 Assumed: the stripes fill less than half of the image, and light beside the laser is of one colour, whatever
 it falls on; what is of another colour (a green mark, for a green laser) keeps its own contrast.
@@ -65,7 +72,7 @@ def prepare(
     check_lines(laser)
     if acquisition.before is not None:
         check_repeats(laser, acquisition.before)
-    pixels = _one_channel(laser, channel, contrast, turn_deg)
+    pixels, scale = _one_channel(laser, channel, contrast, turn_deg)
     if subtract == "dark":
         dark = acquisition.frame("dark")
         if dark is None:
@@ -73,7 +80,7 @@ def prepare(
                 f"{acquisition.id}: there is no dark image to subtract",
                 hint="name the dark images in source.options.dark, or set source.subtract to none",
             )
-        off = _one_channel(dark, channel, contrast, turn_deg)
+        off, _ = _one_channel(dark, channel, contrast, turn_deg, scale)
         if off.shape != pixels.shape or off.dtype != pixels.dtype:
             raise DataError(
                 f"{acquisition.id}: the dark image is {off.shape} {off.dtype}, "
@@ -117,17 +124,20 @@ def _turned(pixels: NDArray[Any], turn_deg: int) -> NDArray[Any]:
     return np.ascontiguousarray(np.rot90(pixels, turn_deg // 90) if turn_deg else pixels)
 
 
-def _one_channel(frame: Frame, channel: str, contrast: str, turn_deg: int) -> NDArray[Any]:
+def _one_channel(
+    frame: Frame, channel: str, contrast: str, turn_deg: int, scale: float | None = None
+) -> tuple[NDArray[Any], float]:
+    """Give one channel and its scale; `scale` is that of the image from which it is to be subtracted."""
     pixels = frame.pixels if turn_deg == 0 else np.rot90(frame.pixels, turn_deg // 90)
-    if pixels.ndim == 2:
-        return np.ascontiguousarray(pixels)
-    if contrast != "none":
-        return _contrast(pixels, _BLUE_GREEN_RED[contrast], float(frame.white))
-    if channel == "max":
-        return np.ascontiguousarray(pixels.max(axis=2))
-    if channel == "grey":
-        return np.ascontiguousarray(np.rint(pixels @ _LUMA).astype(pixels.dtype))
-    return np.ascontiguousarray(pixels[:, :, _BLUE_GREEN_RED[channel]])
+    if pixels.ndim == 3 and contrast != "none":
+        return _contrast(pixels, _BLUE_GREEN_RED[contrast], float(frame.white), scale)
+    if pixels.ndim == 3 and channel == "max":
+        pixels = pixels.max(axis=2)
+    elif pixels.ndim == 3 and channel == "grey":
+        pixels = np.rint(pixels @ _LUMA).astype(pixels.dtype)
+    elif pixels.ndim == 3:
+        pixels = pixels[:, :, _BLUE_GREEN_RED[channel]]
+    return np.ascontiguousarray(pixels), 1.0
 
 
 _SAMPLE = 20_000  # pixels that the others' share is fitted to: good to a grey level
@@ -136,11 +146,23 @@ _STRIPES = 2.0
 """Robust standard deviations above the fit from which on a pixel is a stripe's; costs 2 % of others."""
 _CLIPPED = 0.98  # of white, from which on the laser's channel counts as clipped
 _ALL_WHITE = 0.9  # of white: other channels so bright tell nothing of a clipped pixel
-_BESIDE_PX = 9  # the brightest contrast so near to the end of clipped light is its contrast
+_BESIDE_PX = 9  # the largest share of contrast so near to the end of clipped light is its share
+_DARK = 0.25  # of white: the colour of darker pixels tells nothing of clipped light beside
+_HEADROOM = 0.5
+"""Of white, kept for what the other channels show beyond clipped light: half of a core's height, at which
+extractors measure its width, is then above its halo. From a third on lines on print are found alike."""
+_CORES_QUANTILE = 0.9  # a tenth of the rows with clipped light show whether there are cores in it
+_ROOM_MIN = 0.2  # of white, in the sum of two channels: less is not told from noise and JPEG's ripples
+_NEAR_PX = 41  # in which the brightest light is looked for: the widest line that extractors take by default
 
 
-def _contrast(pixels: NDArray[Any], own: int, white: float) -> NDArray[Any]:
-    """(row, column) the laser's light in its own channel; see the module's text."""
+def _contrast(
+    pixels: NDArray[Any], own: int, white: float, scale: float | None
+) -> tuple[NDArray[Any], float]:
+    """(row, column) the laser's light in its own channel, and its scale; see the module's text.
+
+    A scale that is given is taken, and no core looked for: there is none in an image without the laser.
+    """
     others = [k for k in range(3) if k != own]
     some = pixels.reshape(-1, pixels.shape[2])[:: max(1, pixels.shape[0] * pixels.shape[1] // _SAMPLE)]
     some = some[some[:, own] < white].astype(np.float64)
@@ -157,22 +179,53 @@ def _contrast(pixels: NDArray[Any], own: int, white: float) -> NDArray[Any]:
     out = np.maximum(light - rest, 0.0) * (white / (white - rest))
     clipped = light >= _CLIPPED * white
     out[clipped] = white
-    _decide_by_ends(out, clipped & (rest >= _ALL_WHITE * white))
-    return np.ascontiguousarray(np.rint(out).astype(pixels.dtype))
+    lamp_or_core = (rest >= _ALL_WHITE * white) | (pixels[:, :, others].min(axis=2) >= _ALL_WHITE * white)
+    _decide_by_ends(out, light, clipped & lamp_or_core, white)
+    if scale is None:
+        scale = _raise_cores(out, pixels[:, :, others], white)
+    else:
+        out *= scale
+    return np.ascontiguousarray(np.rint(out).astype(pixels.dtype)), scale
 
 
-def _decide_by_ends(contrast: NDArray[np.float32], unknown: NDArray[np.bool_]) -> None:
-    """Put into each run of unknown pixels of a row the smaller of the contrasts at its two ends."""
+def _raise_cores(contrast: NDArray[np.float32], others: NDArray[Any], white: float) -> float:
+    """Let the other channels tell a core from its halo where both are clipped; give the contrast's scale."""
+    rows = np.flatnonzero((contrast >= white).any(axis=1))
+    if not rows.size:
+        return 1.0
+    import cv2
+
+    clipped = contrast[rows] >= white
+    light = others[rows].sum(axis=2, dtype=np.float32)
+    beside = cv2.dilate(np.where(clipped, 0.0, light), np.ones((1, _NEAR_PX), np.uint8))
+    room = np.maximum(2.0 * white - beside, _ROOM_MIN * white)
+    excess = np.where(clipped, np.clip((light - beside) / room, 0.0, 1.0), 0.0)
+    cores = float(np.quantile(excess.max(axis=1), _CORES_QUANTILE))
+    kept = _HEADROOM * min(max(4.0 * cores - 1.0, 0.0), 1.0)  # from a quarter on, wholly from a half on
+    contrast *= 1.0 - kept
+    contrast[rows] += kept * white * excess
+    return 1.0 - kept
+
+
+def _decide_by_ends(
+    contrast: NDArray[np.float32], light: NDArray[np.float32], unknown: NDArray[np.bool_], white: float
+) -> None:
+    """Put into each run of unknown pixels of a row white times the smaller share of contrast at its two ends.
+
+    A share, since print at an end may be dark: contrast there is low, but all light has the laser's colour.
+    """
     rows = np.flatnonzero(unknown.any(axis=1))
     if not rows.size:
         return
     import cv2
 
-    some, known = contrast[rows], ~unknown[rows]
-    some[~known] = 0.0
-    beside = cv2.dilate(some, np.ones((1, _BESIDE_PX), np.uint8))
+    known = ~unknown[rows]
+    some = np.where(
+        known & (light[rows] >= _DARK * white), contrast[rows] / np.maximum(light[rows], 1.0), 0.0
+    )
+    beside = cv2.dilate(some.astype(np.float32), np.ones((1, _BESIDE_PX), np.uint8))
     columns = np.arange(some.shape[1])
     before = np.maximum.accumulate(np.where(known, columns, 0), axis=1)
     after = np.minimum.accumulate(np.where(known, columns, columns[-1])[:, ::-1], axis=1)[:, ::-1]
     ends = [np.take_along_axis(beside, end, axis=1) for end in (before, after)]
-    contrast[rows] = np.where(known, some, np.minimum(*ends))
+    contrast[rows] = np.where(known, contrast[rows], white * np.minimum(np.minimum(*ends), 1.0))

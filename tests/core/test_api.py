@@ -153,8 +153,52 @@ def test_contrast_tells_an_overexposed_core_from_a_lamp_by_what_is_beside_it(tur
     picture = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
     turned = np.ascontiguousarray(np.rot90(picture, -turn_deg // 90))
     frame = prepare(acquisition(laser=turned), contrast="red", turn_deg=turn_deg, subtract="none")
-    assert frame.pixels[40:, 56:65].min() > 200
+    # what is clipped has the upper half of the range, by how much of it the other channels show
+    assert frame.pixels[40:, 56:65].min() > 127
+    assert frame.pixels[40:, 59:62].min() > 200
     assert frame.pixels[:, 141:169].max() < 80
+
+
+@pytest.mark.parametrize("black_right", [False, True])
+def test_contrast_finds_a_core_whose_halo_is_cut_by_dark_print(black_right, rng) -> None:
+    """The halo clips red on white print and not on black: the middle of what is clipped is not the core's."""
+    away = np.arange(200) - 100.0
+    halo, core = np.exp(-0.5 * (away / 12.0) ** 2), np.exp(-0.5 * (away / 3.0) ** 2)
+    black = (away > 5.0) & black_right  # print that is black to the eye reflects some red
+    red = np.where(black, 0.3, 1.0) * (150.0 + 400.0 * halo + 2000.0 * core)
+    others = np.where(black, 0.03, 1.0) * (140.0 + 20.0 * halo + 250.0 * core)
+    picture = np.stack([others, others, red], axis=1)[None] + rng.normal(0.0, 1.0, (60, 200, 3))
+    picture[:, 150:180] = rng.uniform(30.0, 200.0, (60, 30, 1))  # so that lamp light is seen in all strengths
+    picture = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    pixels = prepare(acquisition(laser=picture), contrast="red", turn_deg=0, subtract="none").pixels
+    clipped = np.flatnonzero(picture[30, :, 2] == 255)
+    assert abs(clipped.mean() - 100.0) > 3.0 or not black_right
+    high = [np.flatnonzero(row > 0.75 * row.max()) for row in pixels.astype(float)]
+    middles = np.array([0.5 * (one[0] + one[-1]) for one in high])
+    assert np.abs(middles - 100.0).max() <= 2.0
+
+
+def test_contrast_of_the_dark_image_is_subtracted_at_the_scale_of_the_laser_image(rng) -> None:
+    """A red mark is in both; an overexposed core halves the laser image's contrast alone."""
+    dark = np.full((60, 200, 3), 40.0) * rng.uniform(1.0, 4.0, (60, 1, 1))
+    dark[:, 20:50, :2] = 40.0
+    dark[:, 20:50, 2] = 200.0
+    away = np.arange(200) - 120.0
+    halo, core = np.exp(-0.5 * (away / 12.0) ** 2), np.exp(-0.5 * (away / 3.0) ** 2)
+    light = np.stack([200.0 * core, 200.0 * core, 300.0 * halo + 1500.0 * core], axis=1)[None]
+    light[:, 34:37, 2] += 40.0  # a faint line on the mark
+    laser, off = (
+        np.clip(np.rint(one + rng.normal(0.0, 1.0, dark.shape)), 0, 255).astype(np.uint8)
+        for one in (dark + light, dark)
+    )
+    alone, less = (
+        prepare(acquisition(laser=laser, dark=off), contrast="red", turn_deg=0, subtract=how).pixels
+        for how in ("none", "dark")
+    )
+    assert 60 < np.median(alone[:, 25:45]) < 100, "the mark's contrast, halved"
+    assert np.delete(less[:, 25:45], [9, 10, 11], axis=1).max() < 15
+    assert less[:, 34:37].min() > 8
+    assert less[:, 119:122].min() > 200
 
 
 def test_a_turn_is_a_rotation_counter_clockwise_and_no_mirror() -> None:

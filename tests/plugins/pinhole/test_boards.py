@@ -69,6 +69,21 @@ def test_marks_are_where_they_are(board: Board, turn: int) -> None:
         assert size.max() == pytest.approx(8.0 * np.hypot(7, 4 if board.kind == "chessboard" else 5))
 
 
+def test_corners_of_a_noisy_chessboard_scatter_little(rng: np.random.Generator) -> None:
+    """A window with more of the edges, up to those of the next corners, averages more noise."""
+    frame, matrix = seen(CHESS, scale=0.2)
+    off = []
+    for _ in range(10):
+        noisy = np.clip(frame.pixels + rng.normal(0.0, 8.0, frame.size), 0, 255).astype(np.uint8)
+        marks = find_marks(Frame(noisy, role="plain"), CHESS)
+        exact = cv2.perspectiveTransform(marks.board_mm[None, :, :2] / CHESS.pitch_mm, matrix)[0]
+        turned = cv2.perspectiveTransform(
+            np.array([CHESS.columns, CHESS.rows]) - marks.board_mm[None, :, :2] / CHESS.pitch_mm, matrix
+        )[0]
+        off += [min((marks.xy_px - one for one in (exact, turned)), key=lambda each: np.abs(each).max())]
+    assert np.sqrt((np.concatenate(off) ** 2).sum(axis=1).mean()) < 0.06, "px"
+
+
 @pytest.mark.parametrize("layout", ["new", "old"])
 def test_the_layout_of_a_charuco_board_is_found_out(layout: str) -> None:
     frame, _ = seen(CHARUCO, layout=layout)
