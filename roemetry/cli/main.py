@@ -139,7 +139,9 @@ def _stopped(started: int, number: int, _: object) -> None:
     """End at once: an exception might surface in an import, which would be blamed on a plugin."""
     if os.getpid() == started:  # not a forked worker, which is told to stop by its own process
         name = signal.Signals(number).name
-        said = f"roemetry: stopped by {name}; give the command again, with --resume where it has that option\n"
+        said = (
+            f"roemetry: stopped by {name}; give the command again, with --resume where it has that option\n"
+        )
         os.write(2, said.encode())
     os._exit(130)
 
