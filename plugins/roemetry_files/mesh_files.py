@@ -67,6 +67,9 @@ class MeshFiles(Sink[MeshFilesOptions]):
                 continue
             for found in products:
                 title = f"{name}#{found.product.number}"
+                if "surface" in found.undrawn:
+                    missing.append(f"{title}: {found.undrawn['surface'].text}")
+                    continue
                 if found.surface is None:
                     missing.append(f"{title}: its volume has no surface: there is none, or it sums up areas")
                     continue

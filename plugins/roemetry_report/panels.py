@@ -68,7 +68,10 @@ def _not_drawn(trace: Trace) -> tuple[str, ...]:
     if trace.stripes is None or trace.profiles is None or not trace.profiles.slice_count:
         return ()
     first, last = trace.stripes.stripe_count + 1, int(trace.profiles.stripe.max()) + 1
-    return (f"stripes {first} to {last}, which run across, are not drawn",) if last >= first else ()
+    if last < first:
+        return ()
+    named = f"stripes {first} to {last}, which run across, are"
+    return (f"{named if last > first else f'stripe {first}, which runs across, is'} not drawn",)
 
 
 def _original(base: BaseImage, key: str) -> Panel:

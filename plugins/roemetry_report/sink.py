@@ -267,8 +267,8 @@ def _product(row: Measurement, trace: Trace | None, key: str, section_key: str, 
         bars = slice_chart(row.volume, "stripe" if trace is None or trace.frame is not None else "line")
     letters = _lettered(free, arcs=arcs, slices=bars, profiles=profiles)
     arcs = None if arcs is None else replace(arcs, letter=letters["arcs"])
-    last = free[len(letters) :]
-    relief = tuple(replace(panel, letter=letter) for panel, letter in zip(relief, last, strict=False))
+    last = free[len(letters) :][: len(relief)]
+    relief = tuple(replace(panel, letter=letter) for panel, letter in zip(relief, last, strict=True))
     decided = () if row.decision is None else row.decision.reasons
     said = {*row.absent.values(), *(() if grade is None else grade.reasons), *decided}
     return {

@@ -15,6 +15,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import os
 import re
 from array import array
 from collections.abc import Callable, Sequence
@@ -128,7 +129,7 @@ class _Reader:
 
     def __init__(self, scan: Path, table: _Table, begin: int, end: int) -> None:
         self.scan, self.table, self.begin, self.end = scan, table, begin, end
-        self._next, self._ahead = begin, dict[int, Future[Any]]()
+        self._next, self._ahead, self._process = begin, dict[int, Future[Any]](), os.getpid()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Leave out what is being decoded."""
@@ -136,6 +137,11 @@ class _Reader:
 
     def _image(self, at: int) -> Any:
         in_turn, self._next = at == self._next, at + 1
+        if self._process != os.getpid():  # a forked process has no threads that would end what was begun
+            self._process = os.getpid()
+            self._ahead.clear()
+        for one in [one for one in self._ahead if not at <= one <= at + _AHEAD]:
+            del self._ahead[one]
         for one in range(at, min(at + 1 + _AHEAD, self.end) if in_turn else at):
             if one not in self._ahead:
                 self._ahead[one] = _decoders().submit(_decoded, self.scan / self.table.files[one])
@@ -180,6 +186,10 @@ def _decoded(path: Path) -> Any:
 @lru_cache(maxsize=1)
 def _decoders() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(_DECODERS)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_decoders.cache_clear)
 
 
 @lru_cache(maxsize=1)

@@ -118,8 +118,8 @@ class GradeTableOptions(StageOptions):
                 [row.shape for row in self.classes],
                 overlaps_are_faults=self.overlaps == "refuse",
             )
-        named = {name for row in self.classes for name in row.limits}
-        found += [(("std", name), "no class has a limit on it") for name in self.std if name not in named]
+            named = {name for row in self.classes for name in row.limits}
+            found += [(("std", name), "no class has a limit on it") for name in self.std if name not in named]
         if found:
             raise MisfitError(*found)
         return self

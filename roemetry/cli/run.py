@@ -294,7 +294,9 @@ def export(
     with_sink = f"sinks=[{{use: {sink}, options: {{{', '.join(options)}}}}}]"
     typed = " ".join(["export", sink, *(f"--set {text}" for text in sets or ())])
     recipe, provenance = recipe_of(folder, sets=[Implied(with_sink, typed)])
-    files, faults, _ = derive(recipe, folder, provenance, debug=debug)
+    files, faults, warnings = derive(recipe, folder, provenance, debug=debug)
+    for warning in warnings:
+        typer.echo(f"roemetry: {warning}", err=True)
     for file in files:
         typer.echo(str(file))
     if faults:

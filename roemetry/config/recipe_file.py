@@ -49,7 +49,8 @@ class SourceChoice(Section):
     channel: Channel = Field(default="grey", description="what to make of a colour image")
     contrast: Contrast = Field(
         default="none",
-        description="instead of a channel: that of the laser's colour, less the lamp light that others show",
+        description="instead of a channel: that of the laser's colour, less the lamp light that others show; "
+        "halved, and a threshold in grey levels with it, where that tells overexposed cores from their halos",
     )
     turn_deg: Turn = Field(
         default=0,

@@ -7,17 +7,19 @@ again. The contrast is
 
     white · (g − r) / (white − r),    0 where r exceeds g, white where g is white.
 
-The denominator keeps clipped light clipped. Where the laser's channel is clipped (JPEG leaves ripples: from
-0.98 white on) and the others are nearly white, too, nothing is left to compare: an overexposed stripe's core
-looks like a lamp. The pixels beside decide: such light gets the smaller of the shares that contrast has of
-the light at both ends of it along the row, since a stripe's core has the laser's colour on both sides.
+The denominator keeps clipped light clipped, unless cores are found (below). Where the laser's channel is
+clipped (JPEG leaves ripples: from 0.98 white on) and the others are nearly white, too, nothing is left to
+compare: an overexposed stripe's core looks like a lamp. The pixels beside decide: such light gets the smaller
+of the shares that contrast has of the light at both ends of it along the row, since a stripe's core has the
+laser's colour on both sides.
 
 Where a stripe's halo clips the laser's channel as well, its core is not seen there, and the middle of what is
 clipped moves with the print below: on black the halo is no longer clipped, on white it is. The other channels
 go on. Their filters pass a little of the laser, so they show the core alone, as a shorter exposure would. A
 clipped pixel's excess is by how much they rise above the brightest light near it that is not clipped, over
-what is left to white, so that print is not taken for it; where the image shows such cores, the contrast is
-halved to leave room for it.
+what is left to white, so that print is not taken for it; where a tenth of the rows or more show such cores,
+the contrast is halved to leave room for it. Clipped light is then no longer white, nor its peaks `SATURATED`,
+unless the other channels are clipped as well: what tells the core's place is not clipped.
 
 Assumed: the stripes fill less than half of the image, and light beside the laser is of one colour, whatever
 it falls on; what is of another colour (a green mark, for a green laser) keeps its own contrast.
@@ -151,7 +153,7 @@ _DARK = 0.25  # of white: the colour of darker pixels tells nothing of clipped l
 _HEADROOM = 0.5
 """Of white, kept for what the other channels show beyond clipped light: half of a core's height, at which
 extractors measure its width, is then above its halo. From a third on lines on print are found alike."""
-_CORES_QUANTILE = 0.9  # a tenth of the rows with clipped light show whether there are cores in it
+_CORES_QUANTILE = 0.9  # cores in a tenth of all rows are a line's: a spot of glare does not change the scale
 _ROOM_MIN = 0.2  # of white, in the sum of two channels: less is not told from noise and JPEG's ripples
 _NEAR_PX = 41  # in which the brightest light is looked for: the widest line that extractors take by default
 
@@ -200,7 +202,9 @@ def _raise_cores(contrast: NDArray[np.float32], others: NDArray[Any], white: flo
     beside = cv2.dilate(np.where(clipped, 0.0, light), np.ones((1, _NEAR_PX), np.uint8))
     room = np.maximum(2.0 * white - beside, _ROOM_MIN * white)
     excess = np.where(clipped, np.clip((light - beside) / room, 0.0, 1.0), 0.0)
-    cores = float(np.quantile(excess.max(axis=1), _CORES_QUANTILE))
+    most = np.zeros(contrast.shape[0])
+    most[rows] = excess.max(axis=1)
+    cores = float(np.quantile(most, _CORES_QUANTILE))
     kept = _HEADROOM * min(max(4.0 * cores - 1.0, 0.0), 1.0)  # from a quarter on, wholly from a half on
     contrast *= 1.0 - kept
     contrast[rows] += kept * white * excess

@@ -18,6 +18,7 @@ frame than the one before is not seen.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -51,8 +52,8 @@ places; most seams across products have them at 1 in 25 or more."""
 _BESIDE, _TIMES_BESIDE = 3, 1.25
 """So many times those of the boundaries up to so far away come on top: specks make steps, and thin lines."""
 _ROWS_APART, _ROWS_SAMPLED, _SURE = 4, 256, 0.25
-"""Every fourth row, of 256 at least, tells between which columns to look at all rows: where it has a quarter
-of the steps that are expected there. Of joins with just enough of them chance hides one in a thousand."""
+"""One of four rows, of 256 at least, tells between which columns to look at all rows: where these have a
+quarter of the steps that are expected there. Of joins with just enough of them chance hides one in 1,000."""
 _STEP_SHARE, _STEP_MIN = 0.25, 0.05
 """Least step, of the stripes' grey level (the 99th percentile) and of white: noise is below."""
 
@@ -245,7 +246,7 @@ def _may_be_joined(pixels: NDArray[Any], axis: int, least: int, enough: float) -
     import cv2
 
     apart = 1 if axis == 0 else max(1, min(_ROWS_APART, len(pixels) // _ROWS_SAMPLED))
-    some = np.ascontiguousarray(pixels[::apart])
+    some = np.ascontiguousarray(pixels) if apart == 1 else pixels[_sampled(len(pixels), apart)]
     next_ = some.shape[1] if axis == 0 else 1
     steep = np.zeros(some.size, np.bool_)
     line = some.reshape(-1)  # across the ends of rows, too: not counted
@@ -267,6 +268,13 @@ def _may_be_joined(pixels: NDArray[Any], axis: int, least: int, enough: float) -
             _per_boundary(at_once.reshape(near.shape), axis)[: last + 1 - first] > enough
         )
     return may_be
+
+
+@lru_cache(maxsize=8)
+def _sampled(rows: int, apart: int) -> NDArray[np.int64]:
+    """Give one row of each so many, drawn: every second row may be another frame's."""
+    first = np.arange(0, rows - apart + 1, apart)
+    return first + np.random.default_rng(0).integers(apart, size=first.size)
 
 
 def _part(pixels: NDArray[Any], axis: int, first: int, end: int) -> NDArray[Any]:

@@ -159,6 +159,21 @@ def test_contrast_tells_an_overexposed_core_from_a_lamp_by_what_is_beside_it(tur
     assert frame.pixels[:, 141:169].max() < 80
 
 
+def test_a_spot_of_glare_does_not_change_the_contrast_of_lines(rng) -> None:
+    picture = np.full((400, 400, 3), 40.0) + rng.normal(0.0, 1.0, (400, 400, 3))
+    picture[:, 50::100, 2] += 45.0  # four lines, far from clipped
+    plain = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    glare = plain.copy()
+    glare[200:204, 300:306] = (200, 200, 255)
+    seen, spoilt = (
+        prepare(acquisition(laser=one), contrast="red", turn_deg=0, subtract="none").pixels
+        for one in (plain, glare)
+    )
+    lines = np.s_[:, 50::100]
+    assert np.median(spoilt[lines]) == pytest.approx(np.median(seen[lines]), abs=1.0), "grey levels"
+    assert np.median(seen[lines]) > 40
+
+
 @pytest.mark.parametrize("black_right", [False, True])
 def test_contrast_finds_a_core_whose_halo_is_cut_by_dark_print(black_right, rng) -> None:
     """The halo clips red on white print and not on black: the middle of what is clipped is not the core's."""

@@ -39,3 +39,15 @@ def test_columns_that_are_joined_in_some_rows_are_found(
     frame[rows, 200:] = other[rows, 200:]
     with pytest.raises(DataError, match="between the columns 199 and 200|between the rows"):
         check_joins(Frame(frame))
+
+
+@pytest.mark.parametrize("rows", [slice(1, None, 2), slice(0, None, 2), slice(1, None, 4), slice(3, None, 4)])
+@pytest.mark.parametrize("height", [600, ROWS])
+def test_columns_that_are_joined_in_every_so_many_rows_are_found(
+    rows: slice, height: int, rng: np.random.Generator
+) -> None:
+    """One field of an interlaced frame is another frame's."""
+    frame, other = line_at(100.0, rng)[:height], line_at(200.0, rng)[:height]
+    frame[rows, 200:] = other[rows, 200:]
+    with pytest.raises(DataError, match="between the columns 199 and 200"):
+        check_joins(Frame(frame))

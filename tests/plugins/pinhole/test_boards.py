@@ -81,7 +81,7 @@ def test_corners_of_a_noisy_chessboard_scatter_little(rng: np.random.Generator) 
             np.array([CHESS.columns, CHESS.rows]) - marks.board_mm[None, :, :2] / CHESS.pitch_mm, matrix
         )[0]
         off += [min((marks.xy_px - one for one in (exact, turned)), key=lambda each: np.abs(each).max())]
-    assert np.sqrt((np.concatenate(off) ** 2).sum(axis=1).mean()) < 0.06, "px"
+    assert np.sqrt((np.concatenate(off) ** 2).sum(axis=1).mean()) < 0.067, "px"
 
 
 @pytest.mark.parametrize("layout", ["new", "old"])

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import pickle
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -213,6 +216,42 @@ def test_frames_decoded_ahead_are_those_of_their_lines_in_any_order(tmp_path: Pa
     for read in (lines.frame, again):
         for k in (*range(19), 3, 21, *range(17, 20), len(frames) - 1, *range(21, len(frames))):
             assert np.array_equal(read(k).pixels, frames[k])
+
+
+def test_frames_decoded_ahead_and_not_asked_for_are_dropped(tmp_path: Path, frames) -> None:
+    for k, frame in enumerate(frames):
+        cv2.imwrite(str(tmp_path / f"c{50 * k}.png"), frame)
+    source = BeltScan()
+    (reference,) = source.references(tmp_path)
+    lines = source.read(reference).lines
+    assert lines is not None
+    for k in range(len(frames)):
+        if k % 3:
+            lines.frame(k)
+            assert len(lines.frame._ahead) <= 5
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_forked_process_decodes_with_threads_of_its_own(tmp_path: Path, frames) -> None:
+    for k, frame in enumerate(frames[:10]):
+        cv2.imwrite(str(tmp_path / f"c{50 * k}.png"), frame)
+    code = (
+        "import os, signal, sys\n"
+        "from pathlib import Path\n"
+        "from roemetry_scan.scan_source import BeltScan\n"
+        "source = BeltScan()\n"
+        "(reference,) = source.references(Path(sys.argv[1]))\n"
+        "lines = source.read(reference).lines\n"
+        "lines.frame(0)\n"
+        "child = os.fork()\n"
+        "if not child:\n"
+        "    signal.alarm(30)\n"
+        "    for k in range(1, 10):\n"
+        "        lines.frame(k)\n"
+        "    os._exit(7)\n"
+        "sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code, str(tmp_path)]).returncode == 7
 
 
 @pytest.mark.parametrize(

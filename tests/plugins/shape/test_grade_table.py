@@ -196,6 +196,9 @@ def test_a_slip_in_a_name_is_the_only_fault_told() -> None:
         GradeTableOptions.model_validate(slip)
     assert "did you mean `weight_g`" in str(refused.value)
     assert "overlaps" not in str(refused.value)
+    with pytest.raises(ValidationError) as refused:
+        GradeTableOptions.model_validate(table(("A", {"weigth_g": {"at_least": 9}}), std={"weight_g": 1.0}))
+    assert "no class has a limit" not in str(refused.value)
 
 
 def test_what_is_no_fault_is_let_be() -> None:
