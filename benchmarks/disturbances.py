@@ -178,6 +178,7 @@ def _lost(axis: int, fill: str) -> Change:
     """Lines are lost at a random place; what follows moves up, and the image is filled up at its end."""
 
     def change(image: Image, lines: float, rng: Rng) -> Image:
+        """Give the image without so many lines, as large as before."""
         first, count = _place(image.shape[axis], lines, rng)
         kept = np.delete(image, np.s_[first : first + count], axis)
         filled = np.take(image, range(-count, 0) if fill == "repeated" else range(count), axis)
@@ -194,6 +195,7 @@ def _doubled(image: Image, lines: float, rng: Rng) -> Image:
 
 def _joined(axis: int) -> Make:
     def make(scene: Scene, share: float, _: Rng) -> Images:
+        """Give the images with the last share of the laser image's lines from the other scene's."""
         assert scene.other is not None
         size = scene.laser.shape[axis]
         place = size - max(1, round(share * size))
