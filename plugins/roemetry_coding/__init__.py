@@ -1,4 +1,4 @@
-"""Coders that say how sure they are: by order, by the planes of light, by joining pieces."""
+"""Coders that say how sure they are, and aligners, which see whether the camera has moved."""
 
 from __future__ import annotations
 
@@ -16,6 +16,20 @@ def roemetry_stages() -> Iterable[StageEntry]:
         target="roemetry_coding.belt_lines:BeltLines",
         summary="Fits shift, roll, zoom and tilt of the camera to the belt's stripes, and corrects them",
         reference="our own; robust regression: Huber & Ronchetti 2009, chapter 7",
+    )
+    yield StageEntry(
+        kind="aligner",
+        name="belt-grid",
+        target="roemetry_coding.belt_grid:BeltGrid",
+        summary="The same by both families of a grid's lines",
+        reference="our own",
+    )
+    yield StageEntry(
+        kind="aligner",
+        name="belt-dots",
+        target="roemetry_coding.belt_dots:BeltDots",
+        summary="The same by dots on the belt",
+        reference="our own",
     )
     yield StageEntry(
         kind="coder",

@@ -22,54 +22,47 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from roemetry.errors import StageError
 from roemetry.records import Peaks, Reason
 from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import Alignment, Calibration
-from roemetry.stages import Aligner, StageOptions
+from roemetry.stages import Aligner
+from roemetry_coding.alignment import (
+    LAST_ROUNDS,
+    OUTER_SHARE,
+    SEARCH_PX,
+    SEARCH_SPACING,
+    SETTLED_PX,
+    SIGMA_MIN_PX,
+    SIGMAS,
+    SIGNIFICANT,
+    STEPS,
+    WIDTHS,
+    AlignerOptions,
+    FittedMotion,
+    Light,
+    alignment_of,
+    focal_px_of,
+    not_compared,
+    refuse_far,
+)
 from roemetry_coding.tears import tear_of
 from roemetry_kernels.compiling import float_kernel
 from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.robust_fit import solve
 
-_STEPS = np.array([2.0, 5e-3, 5e-3, 2e-2])
-"""Steps of the numerical derivatives, units of `PARAMETERS`: each moves a usual image's edge by one or two
-pixels, far more than the 0.002 px to which rest lines are approximated, and far less than what bends."""
-_SEARCH_PX = 6.0
-"""Peaks farther from every line are no belt; twice what can be corrected."""
-_SEARCH_SPACING = 0.3
-"""The same as a share of the lines' smallest distance: beyond it the next line is as near."""
-_WIDTHS = (1.0, 0.5, 0.25)
-"""Widths of the biweight over the search, one a round: a product's peaks lie anywhere within the search, the
-belt's crowd, so narrowing finds the crowd. Fewer rounds may stop at a product's edge."""
-_LAST_ROUNDS = 4
-_SETTLED_PX = 0.002
-"""A round that moves no line by more is the last: far below the 0.01 px to which the fit is known."""
-_SIGMAS = 4.0
-"""Width of the biweight in the last rounds, standard deviations: 92 % efficient for normal noise."""
-_SIGMA_MIN_PX = 0.05
-"""Less scatter than this says more of rounding than of the belt."""
 _ROWS_USED = 80
 """Rows compared: the fit is then known to some 0.01 px, and takes 0.03 ms."""
 _BLOCKS = 8
 """Blocks of rows taken as independent: no speckle or texture is correlated over so many rows."""
-_PEAKS_MIN = 30
+PEAKS_MIN = 30
 """Belt peaks that must fit: less are a few rows, which any noise could bring together."""
-_CHECKED_STD_PX = 0.25
-"""With lines less sure than this, motion that matters could not be seen."""
-_QUANTUM_PX = 0.005
-"""Steps to which the correction is rounded at the image's edge, so that frames of one state of the rig share
-one corrected calibration. A tenth of the smallest correction."""
-_SIGNIFICANT = 3.0
-"""Standard deviations from which a motion is taken for real."""
-_TOLD_SHARE = 0.15
-"""A part of the motion that does less at the image's edge than this share of the largest is not told."""
 _STRIPE_MOVED_PX = 0.25
 """A light plane that has moved by less costs less than the paper's whole-pixel peaks do."""
 _PLANE_DOUBT = 0.1
@@ -82,27 +75,12 @@ _STRIPE_SPREAD_PX = 0.5
 image; those of a product do not."""
 _STRIPE_REFUSED_PX = 1.0
 """A light plane that has moved by more makes heights wrong by more than any interval says: no number then."""
-_OUTER_SHARE = 0.1
-_OUTER_FIT_MIN = 0.3
-"""Of the peaks in the image's first and last tenth so many must lie on the moved lines: a product may cover
-two stripes in three there; lines that fit by chance hold a seventh."""
 
 
-class BeltLinesOptions(StageOptions):
-    """From which motion on a frame is corrected, and from which it is refused."""
-
-    correct_from_px: float = Field(
-        default=0.05, gt=0, description="motion of a rest line from which the calibration is corrected, px"
-    )
-    refuse_from_px: float = Field(
-        default=3.0, gt=0, description="motion of a rest line from which the frame is refused, px"
-    )
-
-
-class BeltLines(Aligner[BeltLinesOptions]):
+class BeltLines(Aligner[AlignerOptions]):
     """Fits a small motion of the camera to the belt's stripes."""
 
-    Options = BeltLinesOptions
+    Options = AlignerOptions
 
     def align(
         self, peaks: Peaks, calibration: Calibration, moved: Callable[[Calibration, Alignment], Calibration]
@@ -124,93 +102,66 @@ class BeltLines(Aligner[BeltLinesOptions]):
             The lines have moved by more than `refuse_from_px`, or too little belt fits any small motion; or
             the frame is torn (`roemetry_coding.tears`).
         """
-        model = _model_of(calibration, moved)
-        search_px = min(_SEARCH_PX, _SEARCH_SPACING * model.spacing_px)
-        tear = tear_of(peaks.row_start, peaks.x_px, peaks.amplitude, model.lines, model.spacing_px)
-        if tear is not None:
-            which = "on the belt are shifted" if tear.of_belt else "on the product jump at once"
-            where = "at about row" if tear.of_belt else f"between the rows {tear.row} and"
-            raise StageError(
-                f"all stripes {which}, by {tear.jump_px:.{1 + tear.of_belt}f} px, {where} {tear.row + 1}: "
-                "rows were lost there, or what is below is another frame's",
-                hint="look at the image; take it again, and look at cable and frame grabber",
-            )
-        every = max(1, calibration.image_size[0] // _ROWS_USED)
-        fit = _Fit(*_fitted(
-            peaks.row_start, peaks.x_px, model.lines, model.answer, every, search_px,
-            _WIDTHS, _LAST_ROUNDS, _SIGMAS, _SIGMA_MIN_PX, _BLOCKS, _OUTER_SHARE, _SETTLED_PX,
-            _STRIPE_PEAKS_MIN, _STRIPE_SPREAD_PX,
-        ))  # fmt: skip
-        if fit.used < _PEAKS_MIN:
-            return Alignment(
-                np.zeros(4),
-                np.zeros((4, 4)),
-                reasons=(
-                    Reason(
-                        "belt-not-seen",
-                        "too little of the bare belt is seen to compare it with the calibration: whether "
-                        "camera, laser or belt have moved is not known",
-                    ),
-                ),
-            )
-        largest, largest_std, natural, rounded, covariance = _at_the_edge(
-            fit.motion, fit.covariance, model.edges, model.scale, _QUANTUM_PX
-        )
-        if fit.outer_peaks and fit.outer_fit < _OUTER_FIT_MIN * fit.outer_peaks:
-            raise StageError(
-                f"of the stripes at the image's top and bottom only {fit.outer_fit / fit.outer_peaks:.0%} "
-                "lie within a pixel or so of the calibrated rest lines, however a camera is moved a little",
-                hint="camera, laser or belt have moved far, or the calibration is of another rig: "
-                "calibrate again",
-            )
-        if largest > self.options.refuse_from_px + 2.0 * largest_std:
-            raise StageError(
-                f"the belt's stripes lie up to {largest:.1f} px beside the calibrated rest lines "
-                f"({_in_words(natural, fit.motion)}): too far to be corrected",
-                hint="fasten camera and laser, and calibrate again",
-            )
-        reasons = []
-        corrected = largest > max(self.options.correct_from_px, _SIGNIFICANT * largest_std)
-        if corrected:
-            reasons.append(
-                Reason(
-                    "moved",
-                    f"the belt's stripes lie up to {largest:.2f} px beside the calibrated rest lines "
-                    f"({_in_words(natural, fit.motion)}): corrected, with its uncertainty",
-                )
-            )
-        elif largest_std > _CHECKED_STD_PX:
-            reasons.append(
-                Reason(
-                    "belt-not-seen",
-                    "too little of the bare belt is seen to say better than to "
-                    f"{2 * largest_std:.1f} px whether camera, laser or belt have moved",
-                )
-            )
-        planes_px, said = _stripes_that_moved(fit.stripe_px, fit.sigma_px)
-        reasons += said
-        covariance[2, 2] += (natural[0] / model.focal_px) ** 2  # what has moved is not known: see above
-        return Alignment(
-            motion=rounded if corrected else np.zeros(4),
-            covariance=covariance,
-            largest_px=largest,
-            largest_std_px=largest_std,
-            stripe_px=fit.stripe_px,
-            planes_px=planes_px,
-            planes_std_px=math.hypot(
-                fit.sigma_px / math.sqrt(_BLOCKS), _PLANE_DOUBT * max(map(abs, planes_px.tolist()))
-            ),
-            reasons=tuple(reasons),
-            edge_px=tuple(round(px, 4) for px in fit.motion.tolist()),
+        model = model_of(calibration, moved)
+        refuse_torn(peaks, model)
+        fit = fitted(peaks, model)
+        if fit.used < PEAKS_MIN:
+            return not_compared()
+        refuse_far(fit.outer_peaks, fit.outer_fit, LIGHT)
+        motion = FittedMotion(fit.motion, fit.covariance, model.edges, model.scale)
+        found = alignment_of(motion, self.options, focal_px_of(calibration), LIGHT, 1)
+        return with_planes(found, fit.stripe_px, fit.sigma_px)
+
+
+LIGHT = Light("stripes", "the calibrated rest lines", "image's top and bottom")
+
+
+def refuse_torn(peaks: Peaks, model: Model) -> None:
+    """Refuse a frame whose stripes jump at a row by a StageError."""
+    tear = tear_of(peaks.row_start, peaks.x_px, peaks.amplitude, model.lines, model.spacing_px)
+    if tear is not None:
+        which = "on the belt are shifted" if tear.of_belt else "on the product jump at once"
+        where = "at about row" if tear.of_belt else f"between the rows {tear.row} and"
+        raise StageError(
+            f"all stripes {which}, by {tear.jump_px:.{1 + tear.of_belt}f} px, {where} {tear.row + 1}: "
+            "rows were lost there, or what is below is another frame's",
+            hint="look at the image; take it again, and look at cable and frame grabber",
         )
 
 
-class _Model(NamedTuple):
+def fitted(peaks: Peaks, model: Model) -> Fit:
+    """Fit the motion that takes the calibrated lines to where the belt's peaks lie."""
+    every = max(1, len(model.lines) // _ROWS_USED)
+    return Fit(*_fitted(
+        peaks.row_start, peaks.x_px, model.lines, model.answer, every,
+        min(SEARCH_PX, SEARCH_SPACING * model.spacing_px), WIDTHS, LAST_ROUNDS, SIGMAS, SIGMA_MIN_PX, _BLOCKS,
+        OUTER_SHARE, SETTLED_PX, _STRIPE_PEAKS_MIN, _STRIPE_SPREAD_PX,
+    ))  # fmt: skip
+
+
+def with_planes(found: Alignment, stripe_px: Floats, sigma_px: float) -> Alignment:
+    """Add what single planes of light have moved against the others; StageError where that is too far.
+
+    `stripe_px` (stripe,) is how far each lies beside where the motion takes it, and `sigma_px` its scatter.
+    """
+    planes_px, said = _stripes_that_moved(stripe_px, sigma_px)
+    return replace(
+        found,
+        stripe_px=stripe_px,
+        planes_px=planes_px,
+        planes_std_px=math.hypot(
+            sigma_px / math.sqrt(_BLOCKS), _PLANE_DOUBT * max(map(abs, planes_px.tolist()))
+        ),
+        reasons=(*found.reasons, *said),
+    )
+
+
+class Model(NamedTuple):
     """What a calibration says of the belt's lines.
 
     `lines` (row, stripe) px; `answer` (row, stripe, 4) their change for a motion that moves some place of the
     image by a pixel; `edges` (place, 4) the same at both ends of every line; `scale` (4,) that motion in the
-    units of `PARAMETERS`; `spacing_px` the smallest distance of two lines; `focal_px` the focal length.
+    units of `PARAMETERS`; `spacing_px` the smallest distance of two lines.
     """
 
     lines: Floats
@@ -218,11 +169,10 @@ class _Model(NamedTuple):
     edges: Floats
     scale: Floats
     spacing_px: float
-    focal_px: float
 
 
-class _Fit(NamedTuple):
-    """What `_fitted` gives; the motion in the units of `_Model.answer`.
+class Fit(NamedTuple):
+    """What `fitted` gives; the motion in the units of `Model.answer`.
 
     `stripe_px` (stripe,) is NaN where a stripe has too few peaks on the belt.
     """
@@ -237,13 +187,13 @@ class _Fit(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def _model_of(calibration: Calibration, moved: Callable[[Calibration, Alignment], Calibration]) -> _Model:
+def model_of(calibration: Calibration, moved: Callable[[Calibration, Alignment], Calibration]) -> Model:
     """Move the calibration to and fro by each parameter; done once for all frames of a calibration."""
     rows = np.arange(calibration.image_size[0], dtype=np.float64)
     lines = calibration.rest_line_px(rows)
     none = np.zeros((4, 4))
     answer = np.empty((*lines.shape, 4))
-    for k, step in enumerate(_STEPS):
+    for k, step in enumerate(STEPS):
         there, back = (
             moved(calibration, Alignment(np.eye(4)[k] * sign * step, none)).rest_line_px(rows)
             for sign in (1.0, -1.0)
@@ -255,42 +205,18 @@ def _model_of(calibration: Calibration, moved: Callable[[Calibration, Alignment]
     answer = answer * scale
     ends = answer[:, [0, -1]].reshape(-1, 4)
     spacing = np.diff(lines, axis=0)
-    return _Model(
+    return Model(
         lines=np.ascontiguousarray(lines.T),
         answer=np.ascontiguousarray(answer.transpose(1, 0, 2)),
         edges=ends[np.isfinite(ends).all(axis=1)],
         scale=scale,
         spacing_px=float(np.nanmin(spacing)) if spacing.size else math.inf,
-        focal_px=_focal_px(calibration),
     )
-
-
-def _focal_px(calibration: Calibration) -> float:
-    """Focal length, px; of a telecentric camera, or where none is known, as good as infinite."""
-    view = calibration.view
-    return math.inf if view is None or view.telecentric else float(view.camera_matrix[0, 0])
-
-
-def _in_words(motion: Floats, edge_px: Floats) -> str:
-    """Say in which way and by how much the image has moved; what moves its edge by little is left out.
-
-    `motion` in the units of `PARAMETERS`, `edge_px` what each does at the image's edge.
-    """
-    pan, roll, zoom, tilt = motion
-    turn = "clockwise" if roll > 0 else "counter-clockwise"
-    words = (
-        f"image shifted by {pan:+.2f} px along x",
-        f"turned by {math.degrees(abs(roll)):.2f}° {turn}",
-        f"grown by {zoom:+.2%}" if zoom > 0 else f"shrunk by {-zoom:.2%}",
-        f"camera tilted by {math.degrees(tilt):+.2f}° about its x axis",
-    )
-    told = np.abs(edge_px) >= _TOLD_SHARE * np.abs(edge_px).max()
-    return ", ".join(word for word, tell in zip(words, told, strict=True) if tell)
 
 
 def _stripes_that_moved(stripe_px: Floats, sigma_px: float) -> tuple[Floats, list[Reason]]:
     """Give how far single planes have moved against the others, 0 for those that have not, and name them."""
-    limit = max(_STRIPE_MOVED_PX, _SIGNIFICANT * sigma_px / math.sqrt(_BLOCKS))
+    limit = max(_STRIPE_MOVED_PX, SIGNIFICANT * sigma_px / math.sqrt(_BLOCKS))
     moved_px = np.where(np.abs(stripe_px) > limit, stripe_px, 0.0)  # NaN has not
     if not moved_px.any():
         return moved_px, []
@@ -311,7 +237,7 @@ def _fitted(
     widths: tuple[float, ...], last_rounds: int, sigmas: float, sigma_min_px: float, blocks: int,
     outer_share: float, settled_px: float, stripe_peaks_min: int, stripe_spread_px: float,
 ) -> tuple[Floats, Floats, int, float, Floats, int, int]:  # fmt: skip
-    """Fit the motion; see `_Fit` and the model above. `lines` and `answer` as in `_Model`."""
+    """Fit the motion; see `Fit` and the model above. `lines` and `answer` as in `Model`."""
     rows, stripes = lines.shape
     count = 0
     most = 0
@@ -439,31 +365,6 @@ def _fitted(
             for j in range(4):
                 covariance[k, j] += pulled[k] * pulled[j]
     return theta, covariance, used, sigma, stripe_sum, outer, outer_fit
-
-
-@float_kernel
-def _at_the_edge(
-    motion: Floats, covariance: Floats, edges: Floats, scale: Floats, quantum: float
-) -> tuple[float, float, Floats, Floats, Floats]:
-    """Say how far a motion moves the edge where it does most, px, its uncertainty, and what it is in nature.
-
-    That is as found, rounded to `quantum` at the edge, and its covariance, in the units of `PARAMETERS`.
-    """
-    worst, largest, variance = 0, -1.0, 0.0
-    for place in range(len(edges)):
-        off = 0.0
-        for k in range(4):
-            off += edges[place, k] * motion[k]
-        if not abs(off) <= largest:  # NaN stays: of no motion it is said that it is small
-            worst, largest = place, abs(off)
-    natural, rounded, scaled = np.empty(4), np.empty(4), np.empty((4, 4))
-    for k in range(4):
-        natural[k] = motion[k] * scale[k]
-        rounded[k] = np.rint(motion[k] / quantum) * quantum * scale[k]
-        for j in range(4):
-            variance += edges[worst, k] * covariance[k, j] * edges[worst, j]
-            scaled[k, j] = covariance[k, j] * scale[k] * scale[j]
-    return largest, math.sqrt(max(variance, 0.0)), natural, rounded, scaled
 
 
 @float_kernel

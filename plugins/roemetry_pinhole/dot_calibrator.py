@@ -12,13 +12,20 @@ from roemetry.errors import CalibrationError
 from roemetry.records import EDGE, SATURATED, WIDE, CalibrationSet, Observation, Peaks
 from roemetry.records.arrays import Flags, Floats
 from roemetry.records.calibration import Calibration
-from roemetry.records.light import at_height, meet
-from roemetry.records.view import View
+from roemetry.records.light import meet
 from roemetry.stages import Calibrator, Capabilities
 from roemetry_pinhole.boards import Seen, board_views, on_board, on_even_print
 from roemetry_pinhole.calibrator import BoardOptions
 from roemetry_pinhole.dot_lattice import numbered_on_boards, on_belt
-from roemetry_pinhole.dot_rays import METHOD, DotPoints, adjusted_rays, places_of, rays_of, view_of
+from roemetry_pinhole.dot_rays import (
+    METHOD,
+    DotPoints,
+    adjusted_rays,
+    places_of,
+    rays_of,
+    rest_lines,
+    view_of,
+)
 from roemetry_pinhole.geometry import CAMERA, ON_BELT, rays
 from roemetry_pinhole.initial_intrinsics import FirstCamera, belt_under, by_marks, first_camera, free_numbers
 from roemetry_pinhole.joint import poses_tried
@@ -29,8 +36,6 @@ _ADDED_STD_PX = 0.02  # of every dot, beside its stated error: print and paper a
 _FACTOR_MAX = 6.0
 """Times its stated error, that a dot scatters at most: a bent board or a moved projector make it more."""
 _MISSING_MAX = 0.2  # share of rays that may be seen on too few boards
-_REST_DEGREE = 3
-"""Of the polynomial along the rows that a column of dots on the belt gets: it bends as lenses bend lines."""
 
 
 class PinholeDotsOptions(BoardOptions):
@@ -94,7 +99,7 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
             )
         made, parameters, covariance = rays_of(found, marks.unknowns, observed.stripe_count)
         view = view_of(parameters, made.lines, size)
-        rest, displacement = _rest_lines(view, made.lines)
+        rest, displacement = rest_lines(view, made.lines)
         used = found.used
         on_boards = places_of(found.geometry, points)[used, 2]
         flat = made.lines.reshape(-1, 4)[points.ray[used]]
@@ -184,19 +189,3 @@ class _Seen(NamedTuple):
         ray = rays(camera, xy_px)
         place_mm = ray / (ray @ surface)[:, None]
         return cls(pose, xy_px, peaks.dots.covariance_px2[use], even[use], place_mm)
-
-
-def _rest_lines(view: View, lines: Floats) -> tuple[Floats, Floats]:
-    """Give rest lines through each column's dots on the belt, as polynomials in the row, and px per mm."""
-    rows = view.image_size[0]
-    found, per_mm = np.zeros((len(lines), _REST_DEGREE + 1)), np.zeros(len(lines))
-    half = 0.5 * (rows - 1)
-    for column, mine in enumerate(lines):
-        mine = mine[np.isfinite(mine[:, 0])]
-        low, high = (view.project(at_height(mine, z)) for z in (0.0, 1.0))
-        powers = ((low[:, 1:] - half) / half) ** np.arange(_REST_DEGREE + 1)
-        found[column] = np.linalg.lstsq(powers, low[:, 0], rcond=None)[0] / half ** np.arange(
-            _REST_DEGREE + 1
-        )
-        per_mm[column] = float(np.mean(high[:, 0] - low[:, 0]))
-    return found, per_mm

@@ -17,14 +17,14 @@ covariances of dot and ray (`roemetry.records.light`).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import Profiles, Rays, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.light import at_height, meet
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
@@ -32,9 +32,13 @@ from roemetry_pinhole.bundle import Adjusted
 from roemetry_pinhole.dot_lattice import nearest_point
 from roemetry_pinhole.geometry import ON_BELT, Geometry, Unknowns, distort
 from roemetry_pinhole.geometry import rays as sight
-from roemetry_pinhole.pinhole_plane import belt_pose, camera_matrix, camera_of, check_size, flat
+from roemetry_pinhole.pinhole_plane import belt_pose, camera_matrix, camera_of, check_size, flat, rotation_of
 
 METHOD = "pinhole-dots"
+MOTION = "camera_motion"
+"""Parameter of a calibration whose camera has moved since it was made."""
+_REST_DEGREE = 3
+"""Of the polynomial along the rows that a column of dots on the belt gets: it bends as lenses bend lines."""
 _ROUNDS = 3  # Gauss–Newton steps: the marks' adjustment is the start, and near
 _OFF_MAX = 5.0  # standard deviations beyond which a dot is left out: print under it, or another dot's light
 _OFF_LEAST_PX = 0.3  # nearer than this a dot is never left out, px
@@ -167,6 +171,11 @@ def rays_of(found: FoundRays, unknowns: Unknowns, stripes: int) -> tuple[Rays, d
 def view_of(parameters: Mapping[str, Floats], lines: Floats, image_size: tuple[int, int]) -> View:
     """Give the camera, a plane through the rays of each column, normal towards +X, and the rays' point."""
     camera, pose = camera_of(parameters), belt_pose(parameters["belt_per_mm"])
+    if MOTION in parameters:
+        motion = parameters[MOTION]
+        pose = pose.copy()
+        pose[:3, :3] = pose[:3, :3] @ rotation_of(motion, camera[0]).T
+        camera[:2] = camera[:2] * (1.0 + motion[2])
     planes = []
     for column in lines:
         known = column[np.isfinite(column[:, 0])]
@@ -179,6 +188,22 @@ def view_of(parameters: Mapping[str, Floats], lines: Floats, image_size: tuple[i
     every = every[np.isfinite(every[:, 0])]
     light_mm = nearest_point(at_height(every, 0.0), np.column_stack([every[:, 2:], np.ones(len(every))]))[0]
     return View(image_size, camera_matrix(camera), pose, np.array(planes), camera[4:], light_mm)
+
+
+def rest_lines(view: View, lines: Floats) -> tuple[Floats, Floats]:
+    """Give rest lines through each column's dots on the belt, as polynomials in the row, and px per mm."""
+    rows = view.image_size[0]
+    found, per_mm = np.zeros((len(lines), _REST_DEGREE + 1)), np.zeros(len(lines))
+    half = 0.5 * (rows - 1)
+    for column, mine in enumerate(lines):
+        mine = mine[np.isfinite(mine[:, 0])]
+        low, high = (view.project(at_height(mine, z)) for z in (0.0, 1.0))
+        powers = ((low[:, 1:] - half) / half) ** np.arange(_REST_DEGREE + 1)
+        found[column] = np.linalg.lstsq(powers, low[:, 0], rcond=None)[0] / half ** np.arange(
+            _REST_DEGREE + 1
+        )
+        per_mm[column] = float(np.mean(high[:, 0] - low[:, 0]))
+    return found, per_mm
 
 
 class PinholeDots(Triangulator[StageOptions]):
@@ -223,6 +248,31 @@ class PinholeDots(Triangulator[StageOptions]):
             stripe=np.arange(shape[0]),
             frame=np.zeros(shape[0], np.int64),
             plane=view.planes,
+        )
+
+    def moved(self, calibration: Calibration, alignment: Alignment) -> Calibration:
+        """Give the calibration of a camera turned and zoomed over belt and projector, which stay.
+
+        The motion joins the parameters with its covariance: `camera_motion`, as in `Alignment`. The rays stay
+        what they are in the belt frame, and do not follow it.
+        """
+        rays = calibration.rays
+        assert rays is not None
+        parameters = {**calibration.parameters, MOTION: alignment.motion}
+        size, count = len(calibration.covariance), len(alignment.motion)
+        covariance = np.zeros((size + count, size + count))
+        covariance[:size, :size], covariance[size:, size:] = calibration.covariance, alignment.covariance
+        followed = np.concatenate([rays.by_parameter, np.zeros((*rays.lines.shape, count))], axis=3)
+        view = view_of(parameters, rays.lines, calibration.image_size)
+        rest_px, displacement = rest_lines(view, rays.lines)
+        return replace(
+            calibration,
+            parameters=parameters,
+            covariance=covariance,
+            rays=Rays(rays.lines, rays.covariance, followed, flat(parameters)),
+            view=view,
+            rest_px=rest_px,
+            displacement_px_per_mm=displacement,
         )
 
     def view(self, calibration: Calibration) -> View | None:

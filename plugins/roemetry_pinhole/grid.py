@@ -32,18 +32,22 @@ from pydantic import Field
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import CalibrationSet, Peaks, Profiles, StripeMap
 from roemetry.records.arrays import Floats
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.view import View
 from roemetry.stages import Calibrator, Capabilities, StageOptions, Triangulator
 from roemetry_pinhole.calibrator import BoardOptions, PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.pinhole_plane import (
     belt_pose,
+    by_motion,
     camera_of,
     derived,
     flat,
     lift_stripes,
     planes_in_belt_frame,
+    shifts_per_px,
+    turned,
     view_of,
+    with_planes_shifted,
 )
 
 _APART_MAX = 3.0
@@ -132,8 +136,6 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
     for first, found in ((12, one), (15 + one.planes.size, other)):
         own = np.s_[first : first + found.planes.size]
         whole[own, own] += found.own
-    belt = 12 + one.planes.size
-    mine = np.r_[0:12, belt + 3 : len(whole), belt : belt + 3]
     planes = [found.planes + found.gain @ (shared - found.shared) for found in (one, other)]
     parameters = {
         "focal_px": shared[:2],
@@ -163,7 +165,7 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
         ),
         across=replace(
             across,
-            covariance=back.T @ whole[np.ix_(mine, mine)] @ back,
+            covariance=_of_lines_across(whole, upright.stripe_count, columns),
             **derived(turned_parameters(parameters, columns), across.image_size),
         ),
     )
@@ -203,6 +205,14 @@ def _turning(lines: int, columns: int) -> Floats:
     for at in range(12, size, 3):
         found[at : at + 3, at : at + 3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     return found
+
+
+def _of_lines_across(covariance: Floats, stripes: int, columns: int) -> Floats:
+    """Give the covariance of the turned image's parameters of that of both families' parameters."""
+    belt = 12 + 3 * stripes
+    mine = np.r_[0:12, belt + 3 : len(covariance), belt : belt + 3]
+    back = _turning((len(covariance) - belt - 3) // 3, columns)[:, :-1]
+    return np.asarray(back.T @ covariance[np.ix_(mine, mine)] @ back)
 
 
 def _inverse(matrix: Floats) -> Floats:
@@ -300,6 +310,37 @@ class PinholeGrid(Triangulator[StageOptions]):
             stripe=np.arange(len(planes)),
             frame=np.zeros(len(planes), np.int64),
             plane=planes_in_belt_frame(planes, pose),
+        )
+
+    def moved(self, calibration: Calibration, alignment: Alignment) -> Calibration:
+        """Give the calibration of a camera turned and zoomed, of both families; see `pinhole-plane`.
+
+        `Alignment.planes_px` are those of the stripes, then those of the lines across.
+        """
+        assert calibration.across is not None
+        before, size = calibration.parameters, calibration.image_size
+        parameters, covariance = turned(before, alignment.motion), calibration.covariance
+        if alignment.covariance.any():
+            covariance = covariance + by_motion(before, alignment.covariance)
+        if alignment.planes_px.any():
+            one, other = np.split(alignment.planes_px, [calibration.stripe_count])
+            per_px = shifts_per_px(turned_parameters(parameters, size[1]), size[::-1]) @ TURN
+            for name, shift_px, by in (
+                ("planes_per_mm", one, shifts_per_px(parameters, size)),
+                (ACROSS, other, per_px),
+            ):
+                parameters, covariance = with_planes_shifted(
+                    parameters, covariance, name, by, shift_px, alignment.planes_std_px
+                )
+        return replace(
+            calibration,
+            covariance=covariance,
+            **derived(parameters, size),
+            across=replace(
+                calibration.across,
+                covariance=_of_lines_across(covariance, calibration.stripe_count, size[1]),
+                **derived(turned_parameters(parameters, size[1]), size[::-1]),
+            ),
         )
 
     def view(self, calibration: Calibration) -> View | None:

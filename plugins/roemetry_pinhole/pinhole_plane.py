@@ -279,20 +279,14 @@ class PinholePlane(Triangulator[StageOptions]):
         derivatives.
         """
         before, size = calibration.parameters, calibration.image_size
-        parameters, covariance = _turned(before, alignment.motion), calibration.covariance
+        parameters, covariance = turned(before, alignment.motion), calibration.covariance
         if alignment.covariance.any():
-            steps = np.diag(_MOTION_STEPS)
-            moves = np.array([(flat(_turned(before, step)) - flat(before)) / step.sum() for step in steps])
-            covariance = covariance + moves.T @ alignment.covariance @ moves
+            covariance = covariance + by_motion(before, alignment.covariance)
         if alignment.planes_px.any():
-            planes, per_px = parameters["planes_per_mm"], _shifts_per_px(parameters, size)
-            parameters["planes_per_mm"] = planes + alignment.planes_px[:, None] * per_px
-            names = list(parameters)
-            first = sum(parameters[name].size for name in names[: names.index("planes_per_mm")])
-            covariance = covariance.copy()
-            for stripe in np.flatnonzero(alignment.planes_px):
-                own = np.s_[first + 3 * stripe : first + 3 * stripe + 3]
-                covariance[own, own] += alignment.planes_std_px**2 * np.outer(per_px[stripe], per_px[stripe])
+            per_px = shifts_per_px(parameters, size)
+            parameters, covariance = with_planes_shifted(
+                parameters, covariance, "planes_per_mm", per_px, alignment.planes_px, alignment.planes_std_px
+            )
         return replace(calibration, covariance=covariance, **derived(parameters, size))
 
     def view(self, calibration: Calibration) -> View | None:
@@ -305,22 +299,33 @@ _MOTION_STEPS = (1e-2, 1e-5, 1e-5, 1e-5)
 _PLANE_STEP = 1e-5  # the same of a plane's share: some 0.01 px
 
 
-def _turned(parameters: Mapping[str, Floats], motion: Floats) -> dict[str, Floats]:
+def turned(parameters: Mapping[str, Floats], motion: Floats) -> dict[str, Floats]:
     """Give the parameters of a camera that has moved; `motion` as in `Alignment`."""
+    rotation = rotation_of(motion, parameters["focal_px"][0])
+    ways = {name: parameters[name] @ rotation.T for name in _WAYS if name in parameters}
+    return {**parameters, "focal_px": parameters["focal_px"] * (1.0 + motion[2]), **ways}
+
+
+_WAYS = ("planes_per_mm", "across_planes_per_mm", "belt_per_mm", "travel_mm_per_count")
+"""Parameters (…, 3) that turn with the camera."""
+
+
+def rotation_of(motion: Floats, focal_px: float) -> Floats:
+    """Give (3, 3) what the camera's turn does to what it looks at, in its own frame."""
     import cv2
 
-    pan_px, roll, zoom, tilt = motion
-    focal = parameters["focal_px"]
-    rotation = np.asarray(cv2.Rodrigues(np.array([tilt, pan_px / focal[0], roll]))[0], np.float64)
-    ways = {name: rotation @ parameters[name] for name in _WAYS if name in parameters}
-    planes = parameters["planes_per_mm"] @ rotation.T
-    return {**parameters, "focal_px": focal * (1.0 + zoom), "planes_per_mm": planes, **ways}
+    pan_px, roll, _, tilt = motion
+    return np.asarray(cv2.Rodrigues(np.array([tilt, pan_px / focal_px, roll]))[0], np.float64)
 
 
-_WAYS = ("belt_per_mm", "travel_mm_per_count")  # parameters (3,) that turn with the camera
+def by_motion(parameters: Mapping[str, Floats], covariance: Floats) -> Floats:
+    """Give what a motion's covariance (4, 4) adds to that of the parameters, by numerical derivatives."""
+    steps = np.diag(_MOTION_STEPS)
+    moves = np.array([(flat(turned(parameters, step)) - flat(parameters)) / step.sum() for step in steps])
+    return np.asarray(moves.T @ covariance @ moves)
 
 
-def _shifts_per_px(parameters: Mapping[str, Floats], image_size: tuple[int, int]) -> Floats:
+def shifts_per_px(parameters: Mapping[str, Floats], image_size: tuple[int, int]) -> Floats:
     """Give (stripe, 3) what each plane changes by when it is shifted so that its rest line moves by 1 px."""
     planes, middle = parameters["planes_per_mm"], np.array([0.5 * (image_size[0] - 1)])
     there, here = (
@@ -328,6 +333,20 @@ def _shifts_per_px(parameters: Mapping[str, Floats], image_size: tuple[int, int]
         for step in (_PLANE_STEP, 0.0)
     )
     return np.asarray(planes * _PLANE_STEP / (there - here))
+
+
+def with_planes_shifted(
+    parameters: Mapping[str, Floats], covariance: Floats, name: str, per_px: Floats, shift_px: Floats,
+    std_px: float,
+) -> tuple[dict[str, Floats], Floats]:  # fmt: skip
+    """Give parameters and covariance with planes (stripe, 3) shifted by (stripe,) px; 0: they are left."""
+    covariance = covariance.copy()
+    names = list(parameters)
+    first = sum(parameters[one].size for one in names[: names.index(name)])
+    for stripe in np.flatnonzero(shift_px):
+        own = np.s_[first + 3 * stripe : first + 3 * stripe + 3]
+        covariance[own, own] += std_px**2 * np.outer(per_px[stripe], per_px[stripe])
+    return {**parameters, name: parameters[name] + shift_px[:, None] * per_px}, covariance
 
 
 _STEP_END = 3e-6

@@ -32,6 +32,7 @@ Fails where the product is as bright as the belt and shades evenly into it: then
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -151,7 +152,9 @@ class EdgeContour(Outliner[EdgeContourOptions]):
             product |= mask
         spacing, said = _spacing_px(stripes), None
         if use_plain and known:
-            chosen, said = laid_over(chosen, _one(frame.pixels), product, spacing)
+            chosen, said = laid_over(
+                chosen, _one(frame.pixels), product, spacing, grid=stripes.across is not None
+            )
             if said is not None:  # of all products, also of those that no edge is found of
                 return tuple(
                     Outline(number, _ring_around(region, spacing), spacing, {}, said)
@@ -161,8 +164,9 @@ class EdgeContour(Outliner[EdgeContourOptions]):
         if use_plain:
             level, on_stripes = _over_belt(chosen.pixels, belt, product), None
         else:
-            dark = None if belt is None else _ambient(_one(belt), spacing)[0]
-            light, on_stripes = _ambient(_one(chosen.pixels), spacing)
+            grid = stripes.across is not None
+            dark = None if belt is None else _ambient(_one(belt), spacing, grid=grid)[0]
+            light, on_stripes = _ambient(_one(chosen.pixels), spacing, grid=grid)
             level = _over_belt(light, dark, product)
         taken_out = None if on_stripes is None else on_stripes.astype(np.float32)
         many = stripes.stripe_count > 1
@@ -185,7 +189,8 @@ class EdgeContour(Outliner[EdgeContourOptions]):
                     outlines.append(Outline(number, ring, spacing, {}, larger[number]))
                 continue
             std_px, fault = edge.std_px, larger.get(number)
-            brackets = _brackets(scene, edge.xy_px, stripes, number) if use_plain and known else None
+            found = _dot_brackets if stripes.dots is not None else _brackets
+            brackets = found(scene, edge.xy_px, stripes, number) if use_plain and known else None
             if brackets is not None:
                 apart_px, against_px = brackets.disagreement_px()
                 std_px = math.hypot(std_px, apart_px) if apart_px else std_px
@@ -218,13 +223,16 @@ class _Brackets(NamedTuple):
     """A product's outline in plain light, and what brackets it: stripes' ends and the belt's next points.
 
     `ring` is the outline, `free` the edge that the image shows without the stripes' bounds, (point, 2) px;
-    `ends` (end, 2) px lie on the product, `beyond` (end, 2) px next to it on the belt.
+    `ends` (end, 2) px lie on the product, `beyond` (end, 2) px next to it on the belt. `of_grid` says that
+    they lie all around, also where the product turns away from the light, and no end reaches the outline: a
+    tenth of them is those that do.
     """
 
     ring: Floats
     free: Floats
     ends: Floats
     beyond: Floats
+    of_grid: bool
 
     def disagreement_px(self) -> tuple[float, float]:
         """Say how far the outline is from what the ends allow, standard uncertainty.
@@ -237,7 +245,7 @@ class _Brackets(NamedTuple):
         near = off < _STRAY_PX
         outside = 2.0 * float(np.clip(off[near], 0.0, _FARTHEST_PX).mean()) if near.any() else math.inf
         astray = quantile_of(off, 1.0 - _TENTH)
-        if astray > _STRAY_PX:  # more of them than glare and mistaken labels make
+        if astray > _STRAY_PX or self.of_grid:  # more of them than glare and mistaken labels make
             outside = max(outside, astray)
         short = quantile_of(inside_by(self.ring, self.ends), _TENTH)
         over = -math.inf
@@ -248,27 +256,89 @@ class _Brackets(NamedTuple):
 
     def contradiction_left_px(self) -> float:
         """Say how far nine in ten ends and belt points contradict the best shifted edge at most."""
-        from scipy.optimize import minimize
 
         def left_px(shift_px: Floats) -> float:
             outside = -inside_by(self.free, self.ends - shift_px)
             inside = inside_by(self.free, self.beyond - shift_px) if len(self.beyond) else outside
             return max(float(quantile_of(which, 1.0 - _TENTH)) for which in (outside, inside))
 
-        steps = np.arange(-_SHIFT_MAX_PX, _SHIFT_MAX_PX + 1.0, _SHIFT_STEP_PX)
-        coarse = min(((x, y) for x in steps for y in steps), key=lambda shift: left_px(np.array(shift)))
-        found = minimize(
-            left_px, np.array(coarse), method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.01}
-        )
-        return max(float(found.fun) - _END_PX, 0.0)
+        return _best_shifted(left_px)
+
+
+class _DotBrackets(NamedTuple):
+    """A product's outline in plain light, and (dot, 2) px dots on the product and on the belt near it."""
+
+    ring: Floats
+    free: Floats
+    on: Floats
+    beside: Floats
+    spacing_px: float
+
+    def disagreement_px(self) -> tuple[float, float]:
+        """Say how far the outline is from what the dots allow, and how far of it nothing else explains.
+
+        A dot that the rim cuts is none: both sides of it keep their distance, and an outline that is off by δ
+        lies nearer to one side's dots. Of n border dots, a spacing s apart, the second nearest lies within
+        2s/n, give or take √2·s/n, so that half of the difference of both sides is uncertain by s/n; it is
+        the second, for one may be glare or a mistaken label.
+        """
+        off = inside_by(self.free, self.on), -inside_by(self.ring, self.beside)
+        on_px, beside_px = (float(np.partition(side, 1)[1]) for side in off)
+        border = min(int((np.abs(side) < self.spacing_px).sum()) for side in off)
+        apart = 0.5 * (on_px - beside_px)
+        unsure = self.spacing_px / max(border, 1)
+        against = max(-min(on_px, beside_px) - _END_PX, 0.0)
+        return max(math.sqrt(max(apart**2 - unsure**2, 0.0)), against), against
+
+    def contradiction_left_px(self) -> float:
+        """Say how far all dots but one contradict the best shifted edge at most."""
+
+        def left_px(shift_px: Floats) -> float:
+            outside, inside = (
+                -inside_by(self.free, self.on - shift_px),
+                inside_by(self.free, self.beside - shift_px),
+            )
+            return max(float(np.partition(side, -2)[-2]) for side in (outside, inside))
+
+        return _best_shifted(left_px)
+
+
+def _dot_brackets(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> _DotBrackets | None:
+    """Find a product's dots, and the belt's; None of too few."""
+    assert stripes.dots is not None
+    on, beside = (
+        np.column_stack([stripes.x_px[place], stripes.dots.y_px[place]])
+        for place in (stripes.seen & (stripes.product == number), stripes.seen & (stripes.product == 0))
+    )
+    if min(len(on), len(beside)) < _LEAST_ENDS:
+        return None
+    return _DotBrackets(ring, unbound(scene, ring), on, beside, scene.spacing_px)
+
+
+def _best_shifted(left_px: Callable[[Floats], float]) -> float:
+    """Give the least that a shift of the image leaves of a contradiction, px beyond what ends are sure to."""
+    from scipy.optimize import minimize
+
+    steps = np.arange(-_SHIFT_MAX_PX, _SHIFT_MAX_PX + 1.0, _SHIFT_STEP_PX)
+    coarse = min(((x, y) for x in steps for y in steps), key=lambda at: left_px(np.array(at)))
+    found = minimize(left_px, np.array(coarse), method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.01})
+    return max(float(found.fun) - _END_PX, 0.0)
 
 
 def _brackets(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> _Brackets | None:
     """Find the ends of what is seen of a product's stripes, and the belt next to them; None of too few."""
     ends, beyond = ends_of_stripes(stripes.x_px, stripes.seen, stripes.product, number, _LEAST_ROWS)
+    across = stripes.across
+    if across is not None:
+        turned = ends_of_stripes(across.x_px, across.seen, across.product, number, _LEAST_ROWS)
+        last = across.rows - 1
+        ends, beyond = (
+            np.concatenate([mine, np.column_stack([last - other[:, 1], other[:, 0]])])
+            for mine, other in zip((ends, beyond), turned, strict=True)
+        )
     if len(ends) < _LEAST_ENDS:
         return None
-    return _Brackets(ring, unbound(scene, ring), ends, beyond)
+    return _Brackets(ring, unbound(scene, ring), ends, beyond, across is not None)
 
 
 @kernel
@@ -470,7 +540,7 @@ def _contrast(plane: NDArray[np.float32], product: Flags) -> float:
     return abs(float(np.median(inside) - np.median(outside))) / (float(outside.std()) + 1e-6)
 
 
-def _ambient(pixels: NDArray[Any], spacing_px: float) -> tuple[NDArray[Any], Flags]:
+def _ambient(pixels: NDArray[Any], spacing_px: float, *, grid: bool = False) -> tuple[NDArray[Any], Flags]:
     """Take the stripes out of a laser image.
 
     Parameters
@@ -479,6 +549,8 @@ def _ambient(pixels: NDArray[Any], spacing_px: float) -> tuple[NDArray[Any], Fla
         (row, column) grey levels.
     spacing_px
         Distance of neighbouring stripes.
+    grid
+        Whether stripes lie across the image, too.
 
     Returns
     -------
@@ -491,12 +563,14 @@ def _ambient(pixels: NDArray[Any], spacing_px: float) -> tuple[NDArray[Any], Fla
 
     width = max(int(0.6 * spacing_px) | 1, 9)  # more than a stripe is wide, less than stripes are apart
     opened = cv2.morphologyEx(pixels, cv2.MORPH_OPEN, np.ones((1, width), np.uint8))
+    if grid:
+        opened = cv2.min(opened, cv2.morphologyEx(pixels, cv2.MORPH_OPEN, np.ones((width, 1), np.uint8)))
     taken = pixels.astype(np.float32) - opened
     usual = median_of(taken.ravel())
     noise = 1.4826 * median_of(np.abs(taken - usual).ravel())
     on = (taken > usual + _STRIPE * max(noise, 0.5)).astype(np.uint8)
     on = cv2.morphologyEx(on, cv2.MORPH_OPEN, np.ones((3, 1), np.uint8))  # single pixels are noise
-    beside = 1.0 - cv2.dilate(on, np.ones((1, 3), np.uint8)).astype(np.float32)
+    beside = 1.0 - cv2.dilate(on, np.ones((3 if grid else 1, 3), np.uint8)).astype(np.float32)
 
     def mean(scale_px: float) -> tuple[Floats, Floats]:
         share = cv2.GaussianBlur(beside, (0, 0), scale_px)
@@ -512,16 +586,18 @@ def _ambient(pixels: NDArray[Any], spacing_px: float) -> tuple[NDArray[Any], Fla
 def _seen_regions(stripes: StripeMap, size: tuple[int, int]) -> dict[int, Flags]:
     """Give, by product, (row, column) the polygon through the ends of what is seen of its stripes.
 
-    What a coder bridged is left out: it runs down to the belt beside the product, through its shadow.
+    What a coder bridged is left out: it runs down to the belt beside the product, through its shadow. Of a
+    grid it is both families' polygons, of dots that through the ends of their columns.
     """
     import cv2
 
-    regions = {}
+    regions = {} if stripes.across is None else _turned_back(_seen_regions(stripes.across, size[::-1]))
     mine = stripes.seen & (stripes.product > 0)
     highest = int(stripes.product.max(initial=0))
+    gap_rows, least_rows = (_GAP_ROWS, _LEAST_ROWS) if stripes.dots is None else (size[0], 1)
     for number in range(1, highest + 1):
         on = mine if highest == 1 else mine & (stripes.product == number)
-        stripe, row, _ = pieces_in_line(on, _GAP_ROWS, _LEAST_ROWS, 0)
+        stripe, row, _ = pieces_in_line(on, gap_rows, least_rows, 0)
         if not row.size:
             continue
         x_px, begins = stripes.x_px[stripe, row], np.flatnonzero(np.diff(stripe, prepend=-1))
@@ -533,8 +609,13 @@ def _seen_regions(stripes: StripeMap, size: tuple[int, int]) -> dict[int, Flags]
         mask = np.zeros(size, np.uint8)
         cv2.fillPoly(mask, [np.rint(ring).astype(np.int32).reshape(-1, 1, 2)], 1)
         mask[row, np.clip(np.rint(x_px).astype(np.int64), 0, size[1] - 1)] = 1
-        regions[number] = mask.view(np.bool_)
-    return regions
+        regions[number] = mask.view(np.bool_) | regions.get(number, False)
+    return dict(sorted(regions.items()))
+
+
+def _turned_back(regions: dict[int, Flags]) -> dict[int, Flags]:
+    """Give regions of the image turned by 90° counter-clockwise in the image as it is."""
+    return {number: np.ascontiguousarray(np.rot90(region, -1)) for number, region in regions.items()}
 
 
 def _cores(level: NDArray[np.float32]) -> dict[int, Flags]:
@@ -587,7 +668,12 @@ def _belt_stripes(stripes: StripeMap, number: int, size: tuple[int, int]) -> NDA
     import cv2
 
     drawn = np.zeros(size, np.uint8)
+    if stripes.across is not None:
+        drawn |= np.rot90(_belt_stripes(stripes.across, number, size[::-1]), -1)
     on = stripes.seen & (stripes.product != number)
+    if stripes.dots is not None:
+        drawn[np.nonzero(on)[1], np.rint(stripes.x_px[on]).astype(np.int64)] = 1
+        return drawn
     stripe, row, begins = pieces_in_line(on, _GAP_ROWS, 1, _END_ROWS)
     places = np.column_stack([np.rint(stripes.x_px[stripe, row]), row]).astype(np.int32)
     begins = [*begins.tolist(), len(row)]

@@ -70,7 +70,7 @@ _MOVED_SIGMAS = 5.0
 
 
 def laid_over(
-    plain: Frame, laser: NDArray[Any], product: Flags, spacing_px: float
+    plain: Frame, laser: NDArray[Any], product: Flags, spacing_px: float, *, grid: bool = False
 ) -> tuple[Frame, Reason | None]:
     """Give the plain image as it lies over the laser image; or as it is, with why it is of another scene.
 
@@ -84,12 +84,14 @@ def laid_over(
         (row, column) where stripes show products; half a spacing beside them is not compared either.
     spacing_px
         Distance of neighbouring stripes.
+    grid
+        Whether stripes lie across the image, too.
     """
     import cv2
 
     width = 2 * round(0.5 * spacing_px) + 1
     near = cv2.dilate(product.astype(np.uint8), np.ones((width, width), np.uint8)).astype(np.bool_)
-    found = image_motion(laser, plain.pixels, near)
+    found = image_motion(laser, plain.pixels, near, grid=grid)
     if found is None or (found.missed is None and not found.significant(_MOVED_SIGMAS)):
         return plain, None
     if found.missed is not None:
@@ -131,7 +133,9 @@ class ImageMotion(NamedTuple):
         return bool(self.motion @ np.linalg.solve(self.covariance, self.motion) > sigmas**2)
 
 
-def image_motion(laser: NDArray[Any], plain: NDArray[Any], product: Flags) -> ImageMotion | None:
+def image_motion(
+    laser: NDArray[Any], plain: NDArray[Any], product: Flags, *, grid: bool = False
+) -> ImageMotion | None:
     """Lay the plain image over the laser image by what both show of the belt; None where that is too little.
 
     Parameters
@@ -140,9 +144,11 @@ def image_motion(laser: NDArray[Any], plain: NDArray[Any], product: Flags) -> Im
         (row, column) grey levels, and the same or (row, column, colour).
     product
         (row, column) where the product may be: its light differs too much.
+    grid
+        Whether stripes lie across the image, too.
     """
     log_plain = logarithm(plain if plain.ndim == 2 else plain.mean(axis=2))
-    free = _beside_stripes(laser) & ~product & _belt_like(log_plain)
+    free = _beside_stripes(laser, grid=grid) & ~product & _belt_like(log_plain)
     weighted, share = halved_where(plain_layout(laser), free)
     bright = _halved(log_plain)
     finest = _Seen.of(weighted, share), _clipped(_texture(bright))
@@ -209,17 +215,20 @@ def halved_where(laser: NDArray[Any], free: Flags) -> tuple[Singles, Singles]:
     return weighted, share
 
 
-def _beside_stripes(laser: NDArray[Any]) -> Flags:
+def _beside_stripes(laser: NDArray[Any], *, grid: bool) -> Flags:
     import cv2
 
     opened = cv2.morphologyEx(laser, cv2.MORPH_OPEN, np.ones((1, _STRIPE_PX), np.uint8))
+    if grid:
+        opened = cv2.min(opened, cv2.morphologyEx(laser, cv2.MORPH_OPEN, np.ones((_STRIPE_PX, 1), np.uint8)))
     taken = cv2.subtract(laser, opened)
     sample = taken[::_SAMPLED, ::_SAMPLED].astype(np.float32)
     usual = median_of(sample.ravel())
     noise = 1.4826 * median_of(np.abs(sample - usual).ravel())
     on = (taken > usual + _STRIPE * max(noise, 1.0)).astype(np.uint8)
     on = cv2.morphologyEx(on, cv2.MORPH_OPEN, np.ones((3, 1), np.uint8))  # single pixels are noise
-    return np.asarray(cv2.dilate(on, np.ones(_GROWN, np.uint8)) == 0)
+    grown = (max(_GROWN), max(_GROWN)) if grid else _GROWN
+    return np.asarray(cv2.dilate(on, np.ones(grown, np.uint8)) == 0)
 
 
 def _belt_like(log_plain: Singles) -> Flags:

@@ -16,7 +16,7 @@ from typing import Any, Protocol, Self
 
 from roemetry.config.overrides import Overridden
 from roemetry.config.recipe_file import (
-    DEFAULT_ALIGNER,
+    DEFAULT_ALIGNERS,
     DEFAULT_ASSEMBLER,
     DRAWS,
     NEEDS,
@@ -287,9 +287,10 @@ def _with_default_aligner(
         return stages
     if triangulator.stage.moved is Triangulator.moved:
         return stages
-    if not any(one.entry.name == DEFAULT_ALIGNER for one in registry.of_kind("aligner")):
+    usual = DEFAULT_ALIGNERS[triangulator.stage.capabilities.pattern]
+    if not any(one.entry.name == usual for one in registry.of_kind("aligner")):
         return stages
-    chosen = chooser.choose("aligner", StageChoice(use=DEFAULT_ALIGNER), "stages", "aligner")
+    chosen = chooser.choose("aligner", StageChoice(use=usual), "stages", "aligner")
     if chosen is None:
         return stages
     extractor = {kind: one for kind, one in stages.items() if kind == "extractor"}

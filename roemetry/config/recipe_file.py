@@ -69,7 +69,8 @@ class SourceChoice(Section):
     options: dict[str, Any] = Field(default_factory=dict, description="the source's own options")
 
 
-DEFAULT_ALIGNER = "belt-lines"
+DEFAULT_ALIGNERS = {"lines": "belt-lines", "grid": "belt-grid", "dots": "belt-dots"}
+"""By the triangulator's pattern."""
 DEFAULT_ASSEMBLER = "belt-motion"
 
 
@@ -87,7 +88,8 @@ class StageChoices(Section):
     aligner: Choice | None = Field(
         default=None,
         description="compares each frame's belt with the calibration, and corrects small motion. Left out, "
-        f"`{DEFAULT_ALIGNER}` does where the triangulator can follow a motion; `null` leaves it undone",
+        f"{', '.join(f'`{name}`' for name in DEFAULT_ALIGNERS.values())} does, by the light's pattern, "
+        "where the triangulator can follow a motion; `null` leaves it undone",
     )
     coder: Choice | None = Field(default=None, description="says which stripe each peak belongs to")
     smoother: Choice | None = Field(

@@ -32,9 +32,9 @@ from roemetry.stages import (
     Weigher,
 )
 from roemetry.stages.kinds import check_result_type
-from roemetry.testing.dots import DotRig
+from roemetry.testing.dots import DotRig, moved_dots
 from roemetry.testing.runs import failed, measured, run_of, volume_of
-from roemetry.testing.scenes import SEED, GridRig, LinearRig, frame_of, moved_rig
+from roemetry.testing.scenes import SEED, GridRig, LinearRig, frame_of, moved_grid, moved_rig
 from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_from, product_of
 
 BLOCK = Block("block", length_mm=100.0, width_mm=30.0, height_mm=8.0, tolerance_mm=0.05)
@@ -321,6 +321,17 @@ def _dot_peaks(stage: Coder[Any]) -> Three:
     return one, other, nothing
 
 
+def _dots_moved(stage: Aligner[Any]) -> Three:
+    """Dots that lie 0.8 px beside where the calibration has them, those that do not, and none."""
+    rig = DotRig()
+    made = rig.dot_calibration()
+    one, other, nothing = (
+        (rig.dots(places), made, moved_dots)
+        for places in (rig.places_px(rig.level()) + 0.8, rig.places_px(rig.level()), np.full((1, 2), np.nan))
+    )
+    return one, other, nothing
+
+
 def _dot_maps(stage: Triangulator[Any]) -> Three:
     rig = DotRig()
     calibration = calibration_for(stage, rig)
@@ -352,6 +363,19 @@ def _grid_peaks(stage: Coder[Any]) -> Three:
     return one, other, none
 
 
+def _grid_moved(stage: Aligner[Any]) -> Three:
+    """Both families 0.8 px beside where the calibration has them, those that are not, and none."""
+    rig = GridRig()
+    made = rig.grid_calibration()
+    empty = rig.grid_peaks((np.full_like(rig.hill()[0], np.nan), np.full_like(rig.hill()[1], np.nan)))
+    at_rest = rig.hill(0.0)
+    beside = at_rest[0] + 0.8 / rig.px_per_mm, at_rest[1] + 0.8 / rig.px_per_mm
+    one, other, nothing = (
+        (peaks, made, moved_grid) for peaks in (rig.grid_peaks(beside), rig.grid_peaks(at_rest), empty)
+    )
+    return one, other, nothing
+
+
 def _grid_maps(stage: Triangulator[Any]) -> Three:
     rig = GridRig()
     calibration = calibration_for(stage, rig)
@@ -371,12 +395,14 @@ def _grid_observations(stage: Calibrator[Any]) -> Three:
 _OF_PATTERN: dict[str, dict[str, Callable[[Any], Three]]] = {
     "dots": {
         "extractor": _dot_frames,
+        "aligner": _dots_moved,
         "coder": _dot_peaks,
         "triangulator": _dot_maps,
         "calibrator": _dot_observations,
     },
     "grid": {
         "extractor": _grid_frames,
+        "aligner": _grid_moved,
         "coder": _grid_peaks,
         "triangulator": _grid_maps,
         "calibrator": _grid_observations,

@@ -8,7 +8,7 @@ import numpy as np
 
 from roemetry.records import BELT, NOTHING, Dots, Peaks, Rays, StripeMap
 from roemetry.records.arrays import Floats
-from roemetry.records.calibration import Calibration
+from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.light import at_height
 from roemetry.testing.scenes import SEED, LinearRig
 
@@ -119,6 +119,22 @@ class DotRig(LinearRig):
         plain = LinearRig.calibration(self)
         parameters = np.concatenate([np.ravel(one) for one in plain.parameters.values()])
         return replace(plain, rays=exact_rays(self.rays(), parameters), height_range_mm=(0.0, 25.0))
+
+
+def moved_dots(calibration: Calibration, alignment: Alignment) -> Calibration:
+    """Give a dot rig's calibration after a small motion of its camera; a tilt moves the image up."""
+    view = calibration.view
+    assert view is not None
+    pan_px, roll, zoom, tilt = alignment.motion
+    matrix, pose = view.camera_matrix.copy(), view.T_belt_camera.copy()
+    matrix[:2, 2] += pan_px, -tilt * _FOCAL_PX
+    matrix[:2, :2] *= 1.0 + zoom
+    turn = np.array([[np.cos(roll), np.sin(roll), 0.0], [-np.sin(roll), np.cos(roll), 0.0], [0.0, 0.0, 1.0]])
+    pose[:3, :3] = pose[:3, :3] @ turn
+    return replace(calibration, view=replace(view, camera_matrix=matrix, T_belt_camera=pose))
+
+
+_FOCAL_PX = 1000.0  # what a tilt moves the image by, px a radian
 
 
 def exact_rays(lines: Floats, parameters: Floats) -> Rays:

@@ -217,6 +217,26 @@ def moved_rig(calibration: Calibration, alignment: Alignment) -> Calibration:
     return replace(calibration, rest_px=rest_px)
 
 
+def moved_grid(calibration: Calibration, alignment: Alignment) -> Calibration:
+    """Give a grid's calibration after a small motion of its camera, as `moved_rig` gives a linear rig's.
+
+    Here a tilt moves the image up.
+    """
+    assert calibration.across is not None
+    pan_px, roll, zoom, tilt = alignment.motion
+    planes, none = alignment.planes_px, np.zeros((4, 4))
+    down_px = -tilt * _CAMERA_MM
+    upright = moved_rig(
+        calibration,
+        Alignment(np.array([pan_px, roll, zoom, 0.0]), none, planes_px=planes[: calibration.stripe_count]),
+    )
+    across = moved_rig(
+        calibration.across,
+        Alignment(np.array([down_px, roll, zoom, 0.0]), none, planes_px=planes[calibration.stripe_count :]),
+    )
+    return replace(upright, across=across)
+
+
 def frame_of(light: Floats, *, bit_depth: int = 8, noise: float = 0.0) -> Frame:
     """Make a frame of (row, column) grey levels 0…255: noise added, scaled to the depth, rounded, clipped.
 

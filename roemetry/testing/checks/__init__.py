@@ -50,7 +50,7 @@ OF_PATTERN: Mapping[str, Mapping[str, tuple[Check, ...]]] = {
             for name, check in vars(module).items()
             if name.startswith("check_") and _kind_of(check) == kind
         )
-        for kind in ("extractor", "coder", "calibrator", "triangulator")
+        for kind in ("extractor", "aligner", "coder", "calibrator", "triangulator")
     }
     for pattern, module in (("dots", dots), ("grid", grids))
 }

@@ -13,7 +13,8 @@ import roemetry
 from roemetry.errors import StageError
 from roemetry.records.calibration import Alignment
 from roemetry.testing.scenes import LinearRig, moved_rig
-from roemetry_coding.belt_lines import BeltLines, _at_the_edge
+from roemetry_coding.alignment import _at_the_edge
+from roemetry_coding.belt_lines import BeltLines
 from roemetry_coding.tears import tear_of
 
 HOME = Path(__file__).parents[3] / "recipes" / "herring_roe"
