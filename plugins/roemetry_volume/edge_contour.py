@@ -94,6 +94,8 @@ _END_PX = 0.5  # a stripe's end is seen to a row, that is half a pixel either wa
 _STRAY_PX, _FARTHEST_PX = 5.0, 2.5
 """A single end farther outside than an edge is searched for is glare or a mistaken label; none counts for
 more than half of that."""
+_BY_CHANCE = 2.6
+"""Standard deviations that dots may lie nearer to one side of an outline: of a hundred sound ones one does."""
 _CONTRADICTION_PX = 0.75
 """Standard uncertainty from which an outline says less than stripes do: 3 % of a product 50 px wide."""
 
@@ -286,9 +288,9 @@ class _DotBrackets(NamedTuple):
         on_px, beside_px = (float(np.partition(side, 1)[1]) for side in off)
         border = min(int((np.abs(side) < self.spacing_px).sum()) for side in off)
         apart = 0.5 * (on_px - beside_px)
-        unsure = self.spacing_px / max(border, 1)
+        chance = _BY_CHANCE * self.spacing_px / max(border, 1)
         against = max(-min(on_px, beside_px) - _END_PX, 0.0)
-        return max(math.sqrt(max(apart**2 - unsure**2, 0.0)), against), against
+        return max(abs(apart) if abs(apart) > chance else 0.0, against), against
 
     def contradiction_left_px(self) -> float:
         """Say how far all dots but one contradict the best shifted edge at most."""
