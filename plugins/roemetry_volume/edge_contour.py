@@ -95,7 +95,7 @@ _STRAY_PX, _FARTHEST_PX = 5.0, 2.5
 """A single end farther outside than an edge is searched for is glare or a mistaken label; none counts for
 more than half of that."""
 _BY_CHANCE = 2.6
-"""Standard deviations that dots may lie nearer to one side of an outline: of a hundred sound ones one does."""
+"""Standard deviations by which dots lie nearer to one side of one sound outline in a hundred."""
 _CONTRADICTION_PX = 0.75
 """Standard uncertainty from which an outline says less than stripes do: 3 % of a product 50 px wide."""
 
