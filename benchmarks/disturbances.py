@@ -9,7 +9,7 @@ image, or a stripe, at the image's edge.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from roemetry.config.scene import Scene as SceneFile
 from roemetry.config.scene_parts import CameraPart
+from roemetry.records import ScanLines
 from roemetry.stages.registry import discover
 from roemetry_simulate.scene import camera_of
 
@@ -32,13 +33,17 @@ _DIFFERS_GREY = 40
 
 
 class Scene(NamedTuple):
-    """Images of one acquisition, as acquired, with what is true of it; `other` is another scene's."""
+    """Images of one acquisition, as acquired, with what is true of it; `other` is another scene's.
+
+    Of a scan, `laser` holds its frames (line, row, column), and `lines` where the belt was.
+    """
 
     name: str
     laser: Image
     plain: Image | None
     true_mm3: float
     other: Scene | None = None
+    lines: ScanLines | None = None
 
     def shown_mm3(self, laser: Image) -> float:
         """Give the true volume of the product that a laser image shows, should no plain image gainsay it.
@@ -46,11 +51,14 @@ class Scene(NamedTuple):
         Most of what differs between this scene and the other may come from the other one: then that is the
         product that was seen.
         """
-        if self.other is None or self.plain is not None or laser.shape != self.other.laser.shape:
+        if self.other is None or self.plain is not None:
             return self.true_mm3
-        own, other = self.laser.astype(np.int64), self.other.laser.astype(np.int64)
-        differs = np.abs(own - other) > _DIFFERS_GREY
-        from_other = (laser[differs] == self.other.laser[differs]).mean() if differs.any() else 0.0
+        both = np.s_[:] if self.lines is None else np.s_[: min(len(laser), len(self.other.laser))]
+        laser, other = laser[both], self.other.laser[both]
+        if laser.shape != other.shape:
+            return self.true_mm3
+        differs = np.abs(self.laser[both].astype(np.int64) - other.astype(np.int64)) > _DIFFERS_GREY
+        from_other = (laser[differs] == other[differs]).mean() if differs.any() else 0.0
         return self.other.true_mm3 if from_other > 0.5 else self.true_mm3
 
 
@@ -276,6 +284,46 @@ DISTURBANCES: dict[str, Disturbance] = {name: Disturbance(*of) for name, of in {
         "", *_ONCE, lambda scene, _, __: (scene.laser if scene.plain is None else scene.plain, scene.laser)
     ),
 }.items()}  # fmt: skip
+
+
+OF_PLAIN = frozenset(
+    name for name in DISTURBANCES if name.startswith("plain image") or name == "laser and plain image swapped"
+)
+"""Of the plain-light image alone: a scan has none."""
+
+
+_TRANSPORT = frozenset(
+    name for name in DISTURBANCES if "another frame" in name or name.split()[0] in ("rows", "columns")
+)
+_HIT = 0.1
+"""Share of a scan's frames that a fault of transport hits."""
+
+
+def of_frames(scene: Scene, name: str, size: float, seed: Sequence[int]) -> Images:
+    """Disturb the frames of a scan: all of them alike, with noise of their own; or some, by transport.
+
+    There, another frame is another one of the scan.
+    """
+    make, frames = DISTURBANCES[name].make, []
+    hit = np.random.default_rng([*seed, 0]).random(len(scene.laser)) < _HIT
+    for line, frame in enumerate(scene.laser):
+        rng: Rng = _FrameRng(seed, line)
+        other = None
+        if name in _TRANSPORT:
+            rng = np.random.default_rng([*seed, line, 1])
+            other = Scene(scene.name, scene.laser[rng.integers(len(scene.laser))], None, scene.true_mm3)
+        one = scene._replace(laser=frame, other=other)
+        frames.append(make(one, size, rng)[0] if hit[line] or name not in _TRANSPORT else frame)
+    return np.stack(frames), None
+
+
+class _FrameRng(np.random.Generator):
+    """Draws places and signs by the case, noise by the frame."""
+
+    def __init__(self, seed: Sequence[int], line: int) -> None:
+        super().__init__(np.random.PCG64(seed))
+        own = np.random.default_rng([*seed, line])
+        self.normal, self.random = own.normal, own.random  # type: ignore[method-assign]
 
 
 # Scenes rendered anew.

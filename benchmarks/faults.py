@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
@@ -28,12 +29,26 @@ import numpy as np
 from markupsafe import Markup
 
 from benchmarks.command import add_sharing, keep, kept, parser_of, shared
-from benchmarks.disturbances import DISTURBANCES, MOTIONS, Disturbance, Image, Motion, Scene, moved_scenes
+from benchmarks.disturbances import (
+    DISTURBANCES,
+    MOTIONS,
+    OF_PLAIN,
+    Disturbance,
+    Image,
+    Motion,
+    Scene,
+    moved_scenes,
+    of_frames,
+)
 from benchmarks.pictures import svg_file
 from benchmarks.tables import table
 from roemetry import Recipe
 from roemetry.config.dataset import Dataset
+from roemetry.errors import DataError, RoemetryError
 from roemetry.html import plots as svg
+from roemetry.records import Acquisition
+from roemetry.run.pipeline import Pipeline
+from roemetry.run.rows import measurements_of
 
 SEED = 20261124
 NONE = "none"
@@ -93,11 +108,14 @@ def main() -> None:
     until = time.monotonic() + 60.0 * asked.minutes
     found = [Case(**case) for case in kept(asked.record)]
     begun = len(found)
-    for case in measured(asked, done=begun):
-        found.append(case)
-        keep(asked.record, asdict(case))
-        if time.monotonic() > until:
-            break
+    try:
+        for case in measured(asked, done=begun):
+            found.append(case)
+            keep(asked.record, asdict(case))
+            if time.monotonic() > until:
+                break
+    except RoemetryError as error:
+        raise SystemExit(str(error)) from error
     text = f"{verdicts(found)}\n{summary(found)}"
     print(text)
     print(f"{len(found) - begun} cases were new")
@@ -116,14 +134,20 @@ def measured(asked: argparse.Namespace, done: int) -> Iterator[Case]:
         return
     fixed = (asked.recipes, Path.cwd(), asked.images, asked.seed)
     names = [name for name in DISTURBANCES if not asked.only or name.startswith(tuple(asked.only))]
-    drawn_cases = _shuffled(_Disturbed(*fixed).places, names, asked.cases, asked.seed)
+    drawn_cases = _shuffled(_Disturbed(*fixed).pairs(names), asked.cases, asked.seed)
     yield from shared(asked, _Disturbed, fixed, list(enumerate(drawn_cases))[done:])
 
 
 def recipe_of(word: str, folder: Path) -> Recipe:
     """Load ``recipe`` or ``recipe=folder of a data set``, relative to a folder."""
     path, _, data = word.partition("=")
-    sets = ["source.use=dataset", f"source.path={folder / data}", "source.options={}"] if data else []
+    recipe = Recipe.load(folder / path, sets=["uncertainty=linear"])
+    if not data:
+        return recipe
+    if recipe.source.stage.gives == "lines":
+        sets = [f"source.path={folder / data}/images"]
+    else:
+        sets = ["source.use=dataset", f"source.path={folder / data}", "source.options={}"]
     return Recipe.load(folder / path, sets=["uncertainty=linear", *sets])
 
 
@@ -131,17 +155,25 @@ class _Disturbed:
     """Disturbs and measures one case at a time."""
 
     def __init__(self, words: Sequence[str], folder: Path, images: int, seed: int) -> None:
-        self._recipes = {word: recipe_of(word, folder) for word in words}
+        every = {word: recipe_of(word, folder) for word in words}
+        self._recipes = {word: recipe for word, recipe in every.items() if "volume" in recipe.stages}
+        for word in every.keys() - self._recipes.keys():
+            print(f"{word}: it states no volume, so none can be wrong", file=sys.stderr)
         self._seed, self._scenes = seed, dict[str, list[Scene]]()
         for word, recipe in self._recipes.items():
             taken = list(scenes_of(recipe, images))
             self._scenes[word] = [scene._replace(other=taken[i - 1]) for i, scene in enumerate(taken)]
         self._base: dict[tuple[str, int], Case] = {}
 
-    @property
-    def places(self) -> list[tuple[str, int]]:
-        """Recipes, each with the numbers of its scenes."""
-        return [(word, k) for word, scenes in self._scenes.items() for k in range(len(scenes))]
+    def pairs(self, names: Sequence[str]) -> list[tuple[tuple[str, int], str]]:
+        """Recipes with the numbers of their scenes, each with what may disturb it."""
+        return [
+            ((word, k), name)
+            for word, scenes in self._scenes.items()
+            for k, scene in enumerate(scenes)
+            for name in names
+            if scene.lines is None or name not in OF_PLAIN
+        ]
 
     def __call__(self, task: tuple[int, tuple[tuple[str, int], str]]) -> Case:
         """Measure the disturbed scene beside the undisturbed one."""
@@ -152,7 +184,11 @@ class _Disturbed:
             self._base[place] = judged(recipe, scene, scene.laser, scene.plain)
         rng = np.random.default_rng([self._seed, number])
         size = float(np.exp(rng.uniform(np.log(kind.low), np.log(kind.high))))
-        images = kind.make(scene, size, rng)
+        images = (
+            kind.make(scene, size, rng)
+            if scene.lines is None
+            else of_frames(scene, name, size, [self._seed, number])
+        )
         scene = scene._replace(true_mm3=scene.shown_mm3(images[0]))
         return against(judged(recipe, scene, *images), self._base[place], word, name, size)
 
@@ -178,23 +214,39 @@ def scenes_of(recipe: Recipe, count: int) -> Iterator[Scene]:
         bodies = json.loads((folder / "truth.json").read_text("utf-8"))["objects"]
         truths = {name: body["topview_volume_mm3"] for name, body in bodies.items()}
     else:
-        own = (recipe.source_path / "dataset.yaml").exists()
-        data = Dataset(recipe.source_path if own else folder)
+        near = (recipe.source_path, recipe.source_path.parent, folder)
+        data = Dataset(next((one for one in near if (one / "dataset.yaml").exists()), folder))
         products = {item.id: data.truth(item).products for item in data.items()}
         truths = {name: one[0].visible_mm3 for name, one in products.items() if len(one) == 1}
+    if not truths:
+        raise DataError(
+            f"{recipe.path}: no volume is stated of any of its scenes", hint="name a data set: recipe=folder"
+        )
     for reference in source.references(recipe.source_path):
         if reference.id in truths and count > 0:
             count -= 1
             taken = source.read(reference)
+            true_mm3, lines = truths[reference.id], taken.lines
+            if lines is not None:
+                frames = np.stack([lines.frame(line).pixels for line in range(len(lines.count))])
+                yield Scene(reference.id, frames, None, true_mm3, lines=lines)
+                continue
             laser, plain = taken.frame("laser"), taken.frame("plain")
             assert laser is not None
-            yield Scene(reference.id, laser.pixels, plain and plain.pixels, truths[reference.id])
+            yield Scene(reference.id, laser.pixels, plain and plain.pixels, true_mm3)
 
 
 def judged(recipe: Recipe, scene: Scene, laser: Image, plain: Image | None) -> Case:
     """Measure images of a scene; what is said of the largest product against the truth."""
-    before = None if scene.other is None else scene.other.laser
-    rows = recipe.measure(laser, plain=plain, before=before, name=scene.name)
+    if scene.lines is None:
+        before = None if scene.other is None else scene.other.laser
+        rows = recipe.measure(laser, plain=plain, before=before, name=scene.name)
+    else:
+        like = scene.lines.frame(0)
+        depth = like.bit_depth if laser.dtype == like.pixels.dtype else 8 * laser.dtype.itemsize
+        lines = replace(scene.lines, frame=lambda line: replace(like, pixels=laser[line], bit_depth=depth))
+        trace = Pipeline(recipe).trace(Acquisition(scene.name, (), lines=lines))
+        rows = measurements_of(trace, recipe, recipe.hashes)
     volumes = [(row, row.volume) for row in rows if row.volume is not None]
     case = Case(str(recipe.path), scene.name, NONE, 0.0, "refused")
     if not volumes:
@@ -274,11 +326,11 @@ def summary(found: Iterable[Case]) -> str:
 
 
 def _shuffled(
-    places: Sequence[tuple[str, int]], names: Sequence[str], cases: int, seed: int
+    pairs: Sequence[tuple[tuple[str, int], str]], cases: int, seed: int
 ) -> Iterator[tuple[tuple[str, int], str]]:
     """Give pairs of place and name, each as often as any other, in an order drawn at random."""
-    rng, pairs = np.random.default_rng([seed, 7]), [(place, name) for place in places for name in names]
-    for _ in range(math.ceil(cases / len(pairs))):
+    rng = np.random.default_rng([seed, 7])
+    for _ in range(math.ceil(cases / len(pairs)) if pairs else 0):
         for k in rng.permutation(len(pairs))[:cases]:
             yield pairs[k]
             cases -= 1
