@@ -8,7 +8,8 @@ perpendicular to the light, t·n, that counts.
 What neither camera nor light sees of a flank the assembler has followed (`roemetry_scan.flanks`); it counts
 as interpolated.
 
-Uncertainty, each part a standard deviation: `motion` V·u(t·n)/(t·n); `encoder quantum` half a count's way,
+Uncertainty, each part a standard deviation: `motion` V·u(t·n)/(t·n); `belt off its zero` what it does if that
+is because camera or laser have moved; `encoder quantum` half a count's way,
 uniform, of each slice's place; `belt jitter` the belt's scatter from line to line on each slice's width;
 `slip` by the disagreement of several lines; `between slices` by what every other slice would give; `flanks` a
 part of what is not seen of them; `gaps` a tenth of what straight lines fill.
@@ -167,6 +168,7 @@ def budget_of(found: Sections, profiles: Profiles) -> dict[str, float]:
         rise = np.diff(area, prepend=0.0, append=0.0)
         per_slice = found.width_mm * found.held_mm
         budget["motion"] = abs(value) * scan.pitch_rel_std
+        budget["belt off its zero"] = abs(value) * scan.belt_off_rel_std
         budget["encoder quantum"] = scan.quantum_mm * _UNIFORM * float(np.sqrt(rise @ rise))
         budget["belt jitter"] = scan.jitter_mm * float(np.sqrt(per_slice @ per_slice))
         if math.isfinite(scan.slip_rel):

@@ -9,6 +9,10 @@ in the frame that moves with the product. The belt, too, is a plane there, spann
 in the light: it is fitted to what is seen of it, and Z = 0 is laid on it, so a belt that leans against the
 calibration's zero costs nothing. Lines are placed by count, never by number.
 
+What a belt that has sunk looks like, a camera or laser that has moved looks like, too, but that changes the
+scale of heights and widths by their change along a row. One line cannot tell which it was: it may be anything
+between nothing and that, and stands in the uncertainty.
+
 With several stripes each is a scan of its own. Slices are made of the middle one; how far another one's
 heights lie ahead or behind on slopes is the way the product slipped against the counter between both.
 """
@@ -25,7 +29,7 @@ import numpy as np
 
 from roemetry.errors import StageError
 from roemetry.records import Profiles, Pyramid, Reason, ScanFigures, ScanLines, SpherePlate, StripeMap
-from roemetry.records.arrays import Flags, Floats
+from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry.records.calibration import Calibration
 from roemetry.records.scan import Motion
 from roemetry.stages import Assembler, StageOptions, Triangulator
@@ -33,13 +37,22 @@ from roemetry_scan.belt import BeltOptions, fitted_plane, frame_on, plane_of_bel
 from roemetry_scan.counting import counted
 from roemetry_scan.flanks import followed
 from roemetry_scan.motion import measured_motion
-from roemetry_scan.rows import placed, points_of_rows
+from roemetry_scan.rows import RowTable, placed, points_of_rows
 from roemetry_scan.slip import slip_of
+from roemetry_scan.torn_lines import torn_lines
 
 _NEAR_MM = 0.3
 """Belt lies so near to its plane where its own scatter is not known yet, mm."""
 _BELT_POINTS = 100_000
 """Points that tell the belt's plane, to a thousandth of their scatter; all of a scan are 100 MB more."""
+_BELT_SAMPLE = 5_000
+"""The same where a tenth of a millimetre will do."""
+_UNIFORM = 1.0 / math.sqrt(3.0)
+"""Of the greatest error: it may be any up to that, either way."""
+_TORN_MAX = 0.02
+"""Share of lines: a fault of transport that is seen in more of them hits others where it is not seen."""
+_OFF_TOLD = 0.002
+"""Relative standard uncertainty that is worth a word: half of what a scan's volume usually has."""
 
 _AT_ONCE = 128
 """Image rows, or lines, that are looked at together: a copy of all of a long scan's heights is megabytes."""
@@ -74,11 +87,18 @@ class BeltMotion(Assembler[BeltOptions]):
         table = points_of_rows(calibration, triangulator)
         x_px, x_std_px = stripes.x_px[at], stripes.x_std_px[at]
         xyz_mm, height_std_mm = placed(x_px, x_std_px, table, middle, shift)
+        whole = ~torn_lines(xyz_mm[..., 2])
+        if not whole.all():
+            _refuse_torn(whole)
+            line, shift, at = line[whole], shift[whole], line[whole] * per_line + first
+            x_px, x_std_px = stripes.x_px[at], stripes.x_std_px[at]
+            xyz_mm, height_std_mm = xyz_mm[whole], height_std_mm[whole]
         normal = table.plane[middle, :3]
         plane = np.column_stack(
             [np.broadcast_to(normal, (line.size, 3)), table.plane[middle, 3] - shift @ normal]
         )
         label = np.where(np.isnan(xyz_mm[..., 0]), -1, stripes.product[at]).astype(np.int16)
+        off_mm = self._belt_off_mm(xyz_mm, label, shift)
         step_counts = float(np.median(np.diff(found.way[line])))
         across = float(motion.mm_per_count @ normal)
         pitch = abs(across) * step_counts
@@ -90,8 +110,9 @@ class BeltMotion(Assembler[BeltOptions]):
             pitch_mm=pitch, pitch_rel_std=relative,
             quantum_mm=float(np.sqrt(motion.mm_per_count @ motion.mm_per_count)),
             first_count=found.first, mm_per_count=_three(motion.mm_per_count),
+            belt_off_rel_std=_UNIFORM * abs(_scale_per_mm(table, calibration, middle) * off_mm),
         )  # fmt: skip
-        reasons = (*found.reasons, *_unreadable(figures))
+        reasons = (*found.reasons, *_unreadable(figures), *_torn(whole), *_off(figures, off_mm))
         if per_line > 1:
             lag_mm = _lags(table.plane, motion.mm_per_count, middle)
             others = {
@@ -120,6 +141,23 @@ class BeltMotion(Assembler[BeltOptions]):
         if not (label == 0).any():
             return profiles
         return _with_flanks(_on_belt(profiles, fitted_plane(_some(xyz_mm, label == 0))))
+
+    def _belt_off_mm(self, xyz_mm: Floats, label: Labels, shift_mm: Floats) -> float:
+        """Give how far the belt lies over where the calibration has it, mm; 0 where that is its zero.
+
+        `shift_mm` (line, 3) is what the belt has run before each line: the camera sees it without.
+        """
+        known = (label == 0).any()
+        if not known and self.options.belt != "fit":
+            return 0.0
+        some = np.flatnonzero((label == 0) if known else (label > 0))
+        some = some[:: max(1, some.size // _BELT_SAMPLE)]
+        points = xyz_mm.reshape(-1, 3)[some]
+        over = points[:, 2] + shift_mm[some // xyz_mm.shape[1], 2]
+        if not known:
+            plane = plane_of_belt(points, _NEAR_MM)
+            over = over[np.abs(points[:, 2] - plane[0] - points[:, :2] @ plane[1:]) < _NEAR_MM]
+        return float(np.median(over))
 
     def label(self, profiles: Profiles, own: tuple[int, int] | None = None) -> Profiles:
         """Lay Z = 0 on the belt that is seen, and number the products that begin in the own lines."""
@@ -199,6 +237,16 @@ def _three(vector: Floats) -> tuple[float, float, float]:
     return float(vector[0]), float(vector[1]), float(vector[2])
 
 
+def _scale_per_mm(table: RowTable, calibration: Calibration, middle: int) -> float:
+    """Give the relative change of a slice's area by where in the image its belt lies, for 1 mm of height."""
+    rest_px = calibration.rest_line_px(np.arange(calibration.image_size[0], dtype=np.float64))[middle]
+    x_px = rest_px + np.arange(3.0)[:, None]
+    xyz_mm, _ = placed(x_px, np.zeros_like(x_px), table, middle, np.zeros((3, 3)))
+    rise_mm = np.nanmedian(np.diff(xyz_mm[..., 2], axis=0), axis=1)
+    width_mm = np.nanmax(xyz_mm[..., 1], axis=1) - np.nanmin(xyz_mm[..., 1], axis=1)
+    return float((rise_mm[1] / rise_mm[0] * width_mm[1] / width_mm[0] - 1.0) / rise_mm[0])
+
+
 def _some(xyz_mm: Floats, chosen: Flags) -> Floats:
     """Give (n, 3) of the points that are chosen, thinned out evenly."""
     index = np.flatnonzero(chosen)
@@ -260,6 +308,40 @@ def _jitter(height_mm: Floats, number: Any, noise_mm: float) -> float:
     mean = mean[good]
     expected = noise_mm**2 * float(np.mean(1.0 / many[good]))
     return math.sqrt(max(0.0, float(mean.var()) - expected))
+
+
+def _refuse_torn(whole: Flags) -> None:
+    many = np.count_nonzero(~whole)
+    if many > max(1.0, _TORN_MAX * len(whole)):
+        raise StageError(
+            f"{many} of {len(whole)} lines lie in part beside those before and after: rows were lost there, "
+            "or that part is another frame's",
+            hint="look at the frames, at cable and frame grabber",
+        )
+
+
+def _off(figures: ScanFigures, off_mm: float) -> tuple[Reason, ...]:
+    if figures.belt_off_rel_std < _OFF_TOLD:
+        return ()
+    return (
+        Reason(
+            "belt-off-zero",
+            f"the belt lies {off_mm:+.1f} mm over where the calibration has it: it runs otherwise, or camera "
+            f"or laser have moved; volumes are uncertain by {figures.belt_off_rel_std:.1%} for that",
+        ),
+    )
+
+
+def _torn(whole: Flags) -> tuple[Reason, ...]:
+    if whole.all():
+        return ()
+    return (
+        Reason(
+            "lines-torn",
+            f"{np.count_nonzero(~whole)} of {len(whole)} lines lie in part beside those before and after: "
+            "rows were lost there, or that part is another frame's; they are not used",
+        ),
+    )
 
 
 def _unreadable(figures: ScanFigures) -> tuple[Reason, ...]:

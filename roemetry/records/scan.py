@@ -75,6 +75,9 @@ class ScanFigures:
     """The belt's way for one encoder count, mm."""
     jitter_mm: float = 0.0
     """Scatter of the belt's height from line to line beyond its points' noise, mm (standard deviation)."""
+    belt_off_rel_std: float = 0.0
+    """Relative standard uncertainty of volumes where the belt lies beside the calibrated one: it may have
+    sunk, or camera or laser may have moved."""
     registration_mm: float = 0.0
     """Of two heads: standard uncertainty of the height of one against the other, mm."""
     first_count: float = math.nan

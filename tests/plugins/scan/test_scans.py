@@ -24,8 +24,8 @@ from benchmarks.scans import (
     true_calibration,
 )
 from roemetry.config.recipe import Recipe
-from roemetry.errors import CalibrationError, DataError
-from roemetry.records import Frame, Measurement, ScanLines, StripeMap
+from roemetry.errors import CalibrationError, DataError, StageError
+from roemetry.records import Frame, Measurement, Profiles, ScanLines, StripeMap
 from roemetry.records.calibration import Calibration
 from roemetry.records.scan import Motion
 from roemetry.run import scan
@@ -76,6 +76,57 @@ def test_the_volume_of_a_frustum_is_its_own_also_where_the_belt_climbs(seen: Sca
     way = MOTION.mm_per_count[0] * np.array([np.cos(lean), 0.0, np.sin(lean)])
     climbing = replace(RIG, motion=replace(MOTION, mm_per_count=way))
     assert volume(seen, climbing) == pytest.approx(found, rel=2e-3)
+
+
+def placed(stripes: StripeMap, lines: ScanLines, calibration: Calibration = RIG) -> Profiles:
+    assembler = BeltMotion()
+    return assembler.label(assembler.place(stripes, lines, calibration, PinholePlane()))
+
+
+def test_a_belt_beside_its_calibrated_place_widens_the_interval_by_what_a_moved_camera_does(
+    seen: Scan,
+) -> None:
+    stripes, lines = seen
+    moved = replace(stripes, x_px=stripes.x_px + 4.0)
+    figures = [placed(one, lines).scan for one in (stripes, moved)]
+    assert figures[0] is not None and figures[1] is not None
+    assert figures[0].belt_off_rel_std < 1e-4
+    error = volume((moved, lines)) / volume(seen) - 1.0
+    # uniform up to the greatest error, which the moved camera makes
+    assert figures[1].belt_off_rel_std == pytest.approx(abs(error) / np.sqrt(3.0), rel=0.25)
+    assert "belt-off-zero" in [reason.code for reason in placed(moved, lines).reasons]
+
+
+def test_a_belt_that_climbs_lies_where_it_was_calibrated(seen: Scan) -> None:
+    way = MOTION.mm_per_count * [1.0, 1.0, 0.0] + 0.01 * MOTION.mm_per_count[0] * np.eye(3)[2]
+    figures = placed(*seen, replace(RIG, motion=replace(MOTION, mm_per_count=way))).scan
+    assert figures is not None
+    assert figures.belt_off_rel_std < 1e-4
+
+
+@pytest.mark.parametrize("together", [1, 2])
+def test_a_line_of_which_a_part_is_another_frames_is_not_used_and_more_of_them_are_refused(
+    seen: Scan, together: int
+) -> None:
+    stripes, lines = seen
+    x_px = stripes.x_px.copy()
+    whole = placed(stripes, lines)
+    on = whole.frame[(whole.product[:, 70:90] > 0).all(axis=1) & (whole.xyz_mm[:, 80, 2] > 8.0)]
+    torn = on[4] + np.arange(together)
+    x_px[torn, 70:90] = stripes.x_px[0, 70:90]  # the bare belt's
+    broken = replace(stripes, x_px=x_px)
+    if together > 1:
+        with pytest.raises(StageError, match="2 of 53 lines lie in part beside"):
+            placed(broken, lines)
+        return
+    profiles = placed(broken, lines)
+    assert sorted(set(whole.frame.tolist()) - set(profiles.frame.tolist())) == torn.tolist()
+    assert "lines-torn" in [reason.code for reason in profiles.reasons]
+    assert volume((broken, lines)) == pytest.approx(volume(seen), rel=2e-3)
+
+
+def test_a_sound_scan_has_no_torn_line(seen: Scan) -> None:
+    assert "lines-torn" not in [reason.code for reason in placed(*seen).reasons]
 
 
 def test_a_stray_peak_that_was_left_out_stays_out_where_a_flank_is_followed(seen: Scan) -> None:
