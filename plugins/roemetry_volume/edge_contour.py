@@ -286,9 +286,9 @@ class _DotBrackets(NamedTuple):
         """
         off = inside_by(self.free, self.on), -inside_by(self.ring, self.beside)
         on_px, beside_px = (float(np.partition(side, 1)[1]) for side in off)
-        border = min(int((np.abs(side) < self.spacing_px).sum()) for side in off)
+        border = 0.5 * sum(np.count_nonzero(np.abs(side) < self.spacing_px) for side in off)
         apart = 0.5 * (on_px - beside_px)
-        chance = _BY_CHANCE * self.spacing_px / max(border, 1)
+        chance = _BY_CHANCE * self.spacing_px / max(border, 1.0)
         against = max(-min(on_px, beside_px) - _END_PX, 0.0)
         return max(abs(apart) if abs(apart) > chance else 0.0, against), against
 

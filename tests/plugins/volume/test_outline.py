@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from roemetry.errors import StageError
-from roemetry.records import Frame, Reason, StripeMap
+from roemetry.records import Dots, Frame, Reason, StripeMap
 from roemetry_volume import edge_contour, edge_search
 from roemetry_volume.edge_contour import EdgeContour, EdgeContourOptions
 from roemetry_volume.edge_search import closed_path
@@ -142,6 +143,85 @@ def test_two_products_have_an_outline_each(rng: np.random.Generator) -> None:
     assert [outline.product for outline in found] == [1, 2]
     for outline, ellipse in zip(found, two, strict=True):
         assert abs(distance(outline.xy_px, ellipse).mean()) < 0.6  # px
+
+
+def dots_on(spacing: float = 16.0) -> StripeMap:
+    """Dots of a matrix that leans; those that the rim cuts are none, to 2.5 px."""
+    across, down = np.meshgrid(np.arange(-14.0, 15.0), np.arange(-10.0, 11.0), indexing="ij")
+    x = 0.5 * COLUMNS + spacing * (across * np.cos(0.2) - down * np.sin(0.2))
+    y = 0.5 * ROWS + spacing * (across * np.sin(0.2) + down * np.cos(0.2))
+    inside = (x > 3.0) & (x < COLUMNS - 4.0) & (y > 3.0) & (y < ROWS - 4.0)
+    off = distance(np.stack([x, y], axis=-1))
+    column, line = np.nonzero(inside & (np.abs(off) > 2.5))
+    x, y, off = x[column, line], y[column, line], off[column, line]
+    row, shape = np.rint(y).astype(np.int64), (29, ROWS)
+
+    def dense(value: np.ndarray, nothing: float) -> np.ndarray:
+        made = np.full(shape, nothing)
+        made[column, row] = value
+        return made
+
+    x_px = dense(x, np.nan)
+    seen = np.isfinite(x_px)
+    covariance = np.where(seen[:, :, None, None], 0.01 * np.eye(2), np.nan)
+    rest = np.broadcast_to(spacing * np.arange(29.0)[:, None], shape).copy()
+    return replace(
+        stripes_on(),
+        x_px=x_px,
+        x_std_px=np.where(seen, 0.1, np.nan),
+        product=np.where(seen, dense((off < 0.0).astype(float), -1.0), -1.0).astype(np.int16),
+        seen=seen,
+        margin=np.where(seen, 1.0, np.nan),
+        ambiguous=np.zeros(shape, np.bool_),
+        rest_px=rest,
+        dots=Dots(dense(y, np.nan), covariance, dense(line, -1.0).astype(np.int16)),
+    )
+
+
+def grid_on(spacing: float = 30.0) -> StripeMap:
+    """Stripes, and lines across that show the same ellipse in the image turned by 90°."""
+    y_px = np.arange(10.0, ROWS - 5.0, spacing)
+    grid = np.broadcast_to(y_px[:, None], (y_px.size, COLUMNS)).copy()
+    at = np.stack([np.broadcast_to(COLUMNS - 1.0 - np.arange(COLUMNS), grid.shape), grid], axis=-1)
+    off = distance(at)
+    across = StripeMap(
+        x_px=grid,
+        x_std_px=np.full(grid.shape, 0.1),
+        product=(off < -0.3).astype(np.int16),
+        seen=np.abs(off) > 0.3,
+        margin=np.ones(grid.shape),
+        ambiguous=np.zeros(grid.shape, np.bool_),
+        rest_px=grid,
+        peak_stripe=np.zeros(0, np.int16),
+    )
+    return replace(stripes_on(), across=across)
+
+
+@pytest.mark.parametrize("light", [dots_on, grid_on])
+def test_dots_and_grids_agree_with_an_outline_of_theirs_and_refuse_another_products(
+    rng: np.random.Generator, light: Callable[[], StripeMap]
+) -> None:
+    (found,) = EdgeContour().outline(LASER, plain_image(rng), light(), None)
+    assert np.abs(distance(found.xy_px)).max() < 1.5  # px
+    assert found.fault is None
+    assert found.xy_std_px < 1.0
+    x, y, a, b = ELLIPSE
+    for other in ((x, y, a - 18.0, b - 12.0), (x + 10.0, y - 12.0, a + 10.0, b - 14.0)):
+        (refused,) = EdgeContour().outline(LASER, plain_image(rng, (other,)), light(), None)
+        assert refused.fault is not None
+        assert refused.fault.code == "images-contradict"
+
+
+@pytest.mark.parametrize("scale", [0.96, 1.04])
+def test_dots_widen_the_uncertainty_of_an_outline_of_another_scale(
+    rng: np.random.Generator, scale: float
+) -> None:
+    """Its edge lies 2 to 5 px beside; the nearest dots 2.5 px and more, so none contradicts it yet."""
+    x, y, a, b = ELLIPSE
+    found = EdgeContour().outline(LASER, plain_image(rng, ((x, y, scale * a, scale * b),)), dots_on(), None)
+    for one in found:
+        off_px = abs(float(distance(one.xy_px).mean()))
+        assert one.fault is not None or off_px < 2.0 * one.xy_std_px
 
 
 def test_images_of_two_scenes_refuse_every_product_also_one_without_an_edge(
