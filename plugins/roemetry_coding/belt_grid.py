@@ -30,6 +30,7 @@ from roemetry_coding.alignment import (
     refuse_far,
 )
 from roemetry_coding.belt_lines import (
+    BLOCKS,
     LIGHT,
     PEAKS_MIN,
     Fit,
@@ -84,7 +85,10 @@ def _joined(*families: tuple[Fit, Model]) -> FittedMotion:
         per_unit = np.zeros(4)
         per_unit[shown] = scale[shown] / model.scale[shown]
         weight = np.zeros((4, 4))
-        weight[np.ix_(shown, shown)] = np.linalg.inv(fit.covariance[np.ix_(shown, shown)])
+        # of few lines the scatter about what was fitted to them is too small: as of n numbers by n − 4
+        groups = model.lines.shape[1] + BLOCKS
+        few = groups / max(groups - 4, 1)
+        weight[np.ix_(shown, shown)] = np.linalg.inv(few * fit.covariance[np.ix_(shown, shown)])
         weight *= per_unit[:, None]
         pull += weight @ fit.motion
         information += weight * per_unit

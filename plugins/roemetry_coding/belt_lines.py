@@ -59,7 +59,7 @@ from roemetry_kernels.robust_fit import solve
 
 _ROWS_USED = 80
 """Rows compared: the fit is then known to some 0.01 px, and takes 0.03 ms."""
-_BLOCKS = 8
+BLOCKS = 8
 """Blocks of rows taken as independent: no speckle or texture is correlated over so many rows."""
 PEAKS_MIN = 30
 """Belt peaks that must fit: less are a few rows, which any noise could bring together."""
@@ -134,7 +134,7 @@ def fitted(peaks: Peaks, model: Model) -> Fit:
     every = max(1, len(model.lines) // _ROWS_USED)
     return Fit(*_fitted(
         peaks.row_start, peaks.x_px, model.lines, model.answer, every,
-        min(SEARCH_PX, SEARCH_SPACING * model.spacing_px), WIDTHS, LAST_ROUNDS, SIGMAS, SIGMA_MIN_PX, _BLOCKS,
+        min(SEARCH_PX, SEARCH_SPACING * model.spacing_px), WIDTHS, LAST_ROUNDS, SIGMAS, SIGMA_MIN_PX, BLOCKS,
         OUTER_SHARE, SETTLED_PX, _STRIPE_PEAKS_MIN, _STRIPE_SPREAD_PX,
     ))  # fmt: skip
 
@@ -150,7 +150,7 @@ def with_planes(found: Alignment, stripe_px: Floats, sigma_px: float) -> Alignme
         stripe_px=stripe_px,
         planes_px=planes_px,
         planes_std_px=math.hypot(
-            sigma_px / math.sqrt(_BLOCKS), _PLANE_DOUBT * max(map(abs, planes_px.tolist()))
+            sigma_px / math.sqrt(BLOCKS), _PLANE_DOUBT * max(map(abs, planes_px.tolist()))
         ),
         reasons=(*found.reasons, *said),
     )
@@ -216,7 +216,7 @@ def model_of(calibration: Calibration, moved: Callable[[Calibration, Alignment],
 
 def _stripes_that_moved(stripe_px: Floats, sigma_px: float) -> tuple[Floats, list[Reason]]:
     """Give how far single planes have moved against the others, 0 for those that have not, and name them."""
-    limit = max(_STRIPE_MOVED_PX, SIGNIFICANT * sigma_px / math.sqrt(_BLOCKS))
+    limit = max(_STRIPE_MOVED_PX, SIGNIFICANT * sigma_px / math.sqrt(BLOCKS))
     moved_px = np.where(np.abs(stripe_px) > limit, stripe_px, 0.0)  # NaN has not
     if not moved_px.any():
         return moved_px, []

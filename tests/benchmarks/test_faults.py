@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.disturbances import DISTURBANCES, Scene
+from benchmarks.disturbances import DISTURBANCES, OF_PLAIN, Scene, of_frames
 from benchmarks.faults import (
     Case,
     against,
     draw,
     harmless,
     judged,
+    main,
     measured,
     recipe_of,
     scenes_of,
@@ -23,6 +24,7 @@ from benchmarks.faults import (
 )
 from benchmarks.kills import killed
 from roemetry import Recipe
+from roemetry.records import Frame, ScanLines
 
 SKEINS = "recipes/herring_roe/with_outline.yaml"
 
@@ -133,6 +135,35 @@ def test_every_disturbance_gives_images_and_the_smallest_hardly_changes_them(
         if kind.harmless:
             laser, _ = kind.make(scene, kind.low, np.random.default_rng(1))
             assert np.abs(laser.astype(float) - image).mean() < 3.0, name
+
+
+def test_frames_of_a_scan_are_disturbed_alike_and_by_transport_some_of_them(rng: np.random.Generator) -> None:
+    frames = np.clip(rng.normal(40.0, 10.0, (40, 48, 64)), 0, 255).astype(np.uint8)
+    lines = ScanLines(lambda line: Frame(frames[line]), np.arange(40.0), np.arange(40), (0, 40))
+    scene = Scene("a", frames, None, 1.0, lines=lines)
+    scene = scene._replace(other=scene)
+    for name in DISTURBANCES.keys() - OF_PLAIN:
+        disturbed, plain = of_frames(scene, name, DISTURBANCES[name].high, [1, 2])
+        assert disturbed.shape == frames.shape and plain is None, name
+        changed = np.array([(one != other).any() for one, other in zip(disturbed, frames, strict=True)])
+        some = "frame" in name or name.startswith(("rows", "columns"))
+        assert (0 < changed.sum() < 12) if some else changed.all(), name
+    noise = of_frames(scene, "noise", 10.0, [1, 2])[0].astype(float) - frames
+    assert abs(np.corrcoef(noise[3].ravel(), noise[4].ravel())[0, 1]) < 0.1
+    shifted = of_frames(scene, "camera shifted along x", 5.0, [1, 2])[0]
+    (way,) = {
+        np.sign(5.0) * k for k in (-5, 5) if (shifted[:, :, 20:40] == frames[:, :, 20 - k : 40 - k]).all()
+    }
+    assert abs(way) == 5
+
+
+def test_what_states_no_volume_is_said_in_words(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["faults", "recipes/weld_groove", "recipes/egg", "--cases", "2"])
+    with pytest.raises(SystemExit, match="egg.recipe.yaml: no volume is stated of any of its scenes"):
+        main()
+    assert "recipes/weld_groove: it states no volume" in capsys.readouterr().err
 
 
 def test_killed_runs_that_contend_for_a_folder_lose_no_row_and_double_none(tmp_path: Path) -> None:
