@@ -94,6 +94,8 @@ _END_PX = 0.5  # a stripe's end is seen to a row, that is half a pixel either wa
 _STRAY_PX, _FARTHEST_PX = 5.0, 2.5
 """A single end farther outside than an edge is searched for is glare or a mistaken label; none counts for
 more than half of that."""
+_CUT = 9.0
+"""Of the usual variance: the centre of a dot that a rim has cut, uncertain by as much, tells no side."""
 _BY_CHANCE = 2.6
 """Standard deviations by which dots lie nearer to one side of one sound outline in a hundred."""
 _CONTRADICTION_PX = 0.75
@@ -306,11 +308,14 @@ class _DotBrackets(NamedTuple):
 
 
 def _dot_brackets(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> _DotBrackets | None:
-    """Find a product's dots, and the belt's; None of too few."""
+    """Find a product's whole dots, and the belt's; None of too few."""
     assert stripes.dots is not None
+    spread = np.trace(stripes.dots.covariance_px2, axis1=2, axis2=3)
+    with np.errstate(invalid="ignore"):
+        whole = stripes.seen & (spread < _CUT * np.median(spread[stripes.seen]))
     on, beside = (
         np.column_stack([stripes.x_px[place], stripes.dots.y_px[place]])
-        for place in (stripes.seen & (stripes.product == number), stripes.seen & (stripes.product == 0))
+        for place in (whole & (stripes.product == number), whole & (stripes.product == 0))
     )
     if min(len(on), len(beside)) < _LEAST_ENDS:
         return None
