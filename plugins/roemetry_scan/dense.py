@@ -9,10 +9,11 @@ What neither camera nor light sees of a flank the assembler has followed (`roeme
 as interpolated.
 
 Uncertainty, each part a standard deviation: `motion` V·u(t·n)/(t·n); `belt off its zero` what it does if that
-is because camera or laser have moved; `encoder quantum` half a count's way,
-uniform, of each slice's place; `belt jitter` the belt's scatter from line to line on each slice's width;
-`slip` by the disagreement of several lines; `between slices` by what every other slice would give; `flanks` a
-part of what is not seen of them; `gaps` a tenth of what straight lines fill.
+is because camera or laser have moved; `encoder quantum` half a count's way, uniform, of each slice's place;
+`belt jitter` the belt's scatter from line to line on slices; `slip` by the disagreement of several
+lines; `between slices` by what every other slice would give; `flanks` a part of what is not seen of them;
+`not seen beside` what lies between a slice's ends and the belt seen next to them, should it be as high as
+these; `gaps` a tenth of what straight lines fill.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ from roemetry_kernels.compiling import float_kernel
 from roemetry_scan.flanks import POINTS, conic, rims_of
 
 _UNIFORM = 1.0 / math.sqrt(12.0)
+_UP_TO = 1.0 / math.sqrt(3.0)
+"""Of the greatest error, that may be any up to that."""
 _OVER_GAP = 0.1
 """Of what a straight line fills: a dome rises over it by some tenth."""
 FLANK_SHARE = 0.06
@@ -89,7 +92,7 @@ class DenseSlices(VolumeEstimator[StageOptions]):
     def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
         """Estimate the visible volume; StageError where fewer than three slices show the product."""
         found = sections_of(product.profiles, product.number)
-        value, budget = found.volume_mm3, budget_of(found, product.profiles)
+        value, budget = found.volume_mm3, budget_of(found, product.profiles, product.number)
         if not value > 0.0:
             raise StageError(f"the slices sum up to {value:.4g} mm³: the points lie on or below the belt")
         if rng is not None:
@@ -146,7 +149,7 @@ def sections_of(profiles: Profiles, number: int) -> Sections:
     )  # fmt: skip
 
 
-def budget_of(found: Sections, profiles: Profiles) -> dict[str, float]:
+def budget_of(found: Sections, profiles: Profiles, number: int) -> dict[str, float]:
     """Give the standard deviation of each part of what the sum may miss, mm³."""
     area, at, value = found.area_mm2, found.at_mm, found.volume_mm3
     uneven = 0.1 * abs(value)
@@ -163,6 +166,8 @@ def budget_of(found: Sections, profiles: Profiles) -> dict[str, float]:
         "gaps": _OVER_GAP * float(found.filled_mm2 @ found.held_mm)
         + _OVER_GAP * float(area @ (found.held_mm - found.own_mm)),
     }
+    if number < profiles.beside_mm3.size:
+        budget["not seen beside"] = _UP_TO * float(profiles.beside_mm3[number])
     scan = profiles.scan
     if scan is not None:
         rise = np.diff(area, prepend=0.0, append=0.0)

@@ -40,6 +40,7 @@ from roemetry_scan.motion import measured_motion
 from roemetry_scan.rows import RowTable, placed, points_of_rows
 from roemetry_scan.slip import slip_of
 from roemetry_scan.torn_lines import torn_lines
+from roemetry_scan.unseen import beside_mm3
 
 _NEAR_MM = 0.3
 """Belt lies so near to its plane where its own scatter is not known yet, mm."""
@@ -205,9 +206,10 @@ def motion_of(calibration: Calibration) -> Motion:
 
 
 def _with_flanks(profiles: Profiles) -> Profiles:
-    """Add what is not seen of products' flanks."""
+    """Add what is not seen of products' flanks, and say what is not seen beside them."""
     xyz_mm, label, added = followed(profiles.xyz_mm, profiles.product, profiles.plane)
-    return replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added)
+    found = replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added)
+    return replace(found, beside_mm3=beside_mm3(found))
 
 
 def _lags(plane: Floats, motion: Floats, middle: int) -> Floats:

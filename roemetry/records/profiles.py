@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -39,6 +39,10 @@ class Profiles(Shown):
     scan: ScanFigures | None = None
     """What placing the lines came to, where the slices are lines of a scan."""
 
+    beside_mm3: Floats = field(default_factory=lambda: np.empty(0))
+    """(product + 1,) by the product's number, how much larger it is if what is not seen between its slices'
+    ends and the belt beside them is as high as these. Empty: nobody has looked for it."""
+
     def __post_init__(self) -> None:
         check = Checker(self)
         xyz = check.array("xyz_mm", np.float64, (None, None, 3))
@@ -49,6 +53,7 @@ class Profiles(Shown):
             check.array(name, np.float64, (slices, points))
         for name in ("stripe", "frame"):
             check.array(name, np.int64, (slices,))
+        check.array("beside_mm3", np.float64, (None,))
         plane = check.array("plane", np.float64, (slices, 4))
         if plane.shape == (slices, 4) and slices:
             length = np.sqrt((plane[:, :3] ** 2).sum(axis=1))

@@ -125,6 +125,23 @@ def test_a_line_of_which_a_part_is_another_frames_is_not_used_and_more_of_them_a
     assert volume((broken, lines)) == pytest.approx(volume(seen), rel=2e-3)
 
 
+def test_a_slice_that_ends_before_the_product_does_may_be_larger_by_what_is_not_seen(seen: Scan) -> None:
+    stripes, lines = seen
+    whole = placed(stripes, lines)
+    assert whole.beside_mm3[1] < 2e-3 * TRUE_MM3
+    cut = np.isin(np.arange(stripes.rows), np.arange(100, 145))[None, :]
+    dim = replace(
+        stripes,
+        x_px=np.where(cut, np.nan, stripes.x_px),
+        x_std_px=np.where(cut, np.nan, stripes.x_std_px),
+        product=np.where(cut, np.int16(-1), stripes.product),
+        seen=stripes.seen & ~cut,
+    )
+    lost = volume(seen) - volume((dim, lines))
+    assert lost > 0.1 * TRUE_MM3
+    assert lost < placed(dim, lines).beside_mm3[1] < 2.0 * lost
+
+
 def test_a_sound_scan_has_no_torn_line(seen: Scan) -> None:
     assert "lines-torn" not in [reason.code for reason in placed(*seen).reasons]
 
