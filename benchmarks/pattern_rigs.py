@@ -155,7 +155,11 @@ def drawn_rig(rng: np.random.Generator, pattern: str) -> list[str]:
             "peak_e_per_ms": round(800.0 * light, 1),
         }  # fmt: skip
     laser |= {"speckle_contrast": speckle, "waist_distance_mm": laser["projector_mm"][2]}
-    surface = {"albedo_laser": between(0.45, 0.6), "texture": between(0.03, 0.08), "gloss": between(0.0, 0.05)}
+    surface = {
+        "albedo_laser": between(0.45, 0.6),
+        "texture": between(0.03, 0.08),
+        "gloss": between(0.0, 0.05),
+    }
     return [
         f"simulator.options.{part}.{key}={_yaml(value)}"
         for part, values in (("camera", camera), ("laser", laser), ("surface", surface))

@@ -114,7 +114,9 @@ def found_dots(image: Floats, white: int, amplitude_min: float | None = None) ->
     if min(image.shape) < 2 * _RADIUS_PX[0] + 1:
         return np.empty((0, 3)), 1.0
     # of rounded grey levels that hardly scatter, the rounding is what remains
-    noise = max(1.4826 * float(np.median(np.abs(np.diff(image[::_NOISE_ROWS], axis=1)))) / math.sqrt(2.0), 0.3)
+    noise = max(
+        1.4826 * float(np.median(np.abs(np.diff(image[::_NOISE_ROWS], axis=1)))) / math.sqrt(2.0), 0.3
+    )
     smooth = (cv2.GaussianBlur(image.astype(np.float32), (0, 0), s) for s in (_FINE_PX, _COARSE_PX))
     raised = next(smooth) - next(smooth)
     least = max(_NOISES * noise / (2.0 * math.sqrt(math.pi) * _FINE_PX), _LEVELS * white)
@@ -373,7 +375,9 @@ def _shared(
         for a in range(2):
             for b in range(7):
                 pull[k, a] += inverse[a, b] * slope[k, b] * weight[k] * light[k]
-    share = np.empty((_ALIKE + 1, _ALIKE + 1))  # of neighbours so far apart: a power takes longer than all else
+    share = np.empty(
+        (_ALIKE + 1, _ALIKE + 1)
+    )  # of neighbours so far apart: a power takes longer than all else
     for v in range(_ALIKE + 1):
         for u in range(_ALIKE + 1):
             share[v, u] = given[2] * given[3] ** (u * u + v * v)

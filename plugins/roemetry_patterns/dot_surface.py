@@ -5,8 +5,8 @@ over the rim, u = (Z − r)·|Z − r|, is smooth there, and of an ellipsoid it 
 quadratic in X and Y plus a Gaussian process (Matérn 5/2), observed at the dots, and 0 along the outline,
 which the camera sees at the rim's height. Rim height, reach and size of the process are those that make the
 points likeliest (Rasmussen and Williams 2006, chapters 2 and 5). The volume is the integral of r + √u over
-the footprint; its uncertainty comes from fields drawn from the process as the points leave it, and from the
-outline. Points outside the outline contradict it, and are refused.
+the footprint; its uncertainty comes from fields drawn from the process as the points leave it, from rims that
+are likely as well, and from the outline. Points outside the outline contradict it, and are refused.
 
 Without an outline the footprint is the points' convex hull, half a spacing larger, and there is no rim.
 
@@ -44,6 +44,13 @@ _NODES = 40, 12
 few tell the integral to 0.05 %)."""
 _RIMS = 12
 """Rim heights that are tried, from the belt to the median of the points."""
+_ALIKE = 15.0
+"""Points that count as one where rims are weighed: a body is not quite the process, and errs alike around it."""
+_WEIGHT_MIN = 1e-3
+"""Of the likeliest rim's, from which on a rim counts."""
+_RIM_HIGH, _RIM_HIGH_STD = 0.55, 0.03
+"""Of the top, from which on a rim's height is less likely, and how fast: what rests on a belt is seldom widest
+above its middle. A block is, and its points say so by far more."""
 _REACHES = (0.35, 0.7)
 """Of the root of the footprint's area, that the process can reach."""
 _SIZES = (1.0, 3.0)
@@ -81,7 +88,7 @@ class DotSurface(VolumeEstimator[StageOptions]):
     def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
         """Estimate the visible volume; StageError where there are too few points or it is not positive."""
         scene = _scene_of(product)
-        best = _likeliest(scene)
+        best, of_rims = _likeliest(scene)
         outside = ~_inside(scene.contour(best.rim_mm), scene.xyz_mm[:, :2])
         if outside.mean() > _OUTSIDE_MAX:
             raise StageError(
@@ -94,6 +101,7 @@ class DotSurface(VolumeEstimator[StageOptions]):
             raise StageError("the surface encloses nothing", hint="look at the coding and the belt's zero")
         budget = {
             "between dots": _WIDER * best.spread_mm3(nodes),
+            "rim": of_rims,
             "model": _LEAST_STD * volume,
         }
         if scene.outlined:
@@ -127,7 +135,7 @@ class DotSurface(VolumeEstimator[StageOptions]):
     def surface(self, product: Product) -> Surface | None:
         """Give the surface over the footprint, line by line."""
         scene = _scene_of(product)
-        best = _likeliest(scene)
+        best, _ = _likeliest(scene)
         nodes = scene.nodes(best.rim_mm, per_line=True)
         z = best.heights_mm(nodes[:, :2])
         grid = np.column_stack([nodes[:, :2], z]).reshape(-1, _NODES[1], 3)
@@ -389,22 +397,34 @@ def _krige(scene: _Scene, rim_mm: float, reach: float = _REACHES[1], size: float
     return _Kriged(rim_mm, reach, size, likelihood, place, factor, trend, solved, prior)
 
 
-def _likeliest(scene: _Scene) -> _Kriged:
-    """Give the likeliest surface: its rim first, every second height and those beside the best, then the rest."""
+def _likeliest(scene: _Scene) -> tuple[_Kriged, float]:
+    """Give the likeliest surface, and the volume's spread over rims that are likely as well, mm³.
+
+    The rim is found first, among every second height and those beside the best, then reach and size.
+    """
     rims = scene.rims()
-    tried: dict[int, float] = {}
+    top_mm = float(scene.xyz_mm[:, 2].max())
+    tried: dict[int, _Kriged] = {}
 
     def likelihood(at: int) -> float:
         if at not in tried:
-            tried[at] = _krige(scene, float(rims[at])).log_likelihood
-        return tried[at]
+            tried[at] = _krige(scene, float(rims[at]))
+        high = max(float(rims[at]) / top_mm - _RIM_HIGH, 0.0) / _RIM_HIGH_STD
+        return tried[at].log_likelihood - 0.5 * _ALIKE * high**2
 
     top = max(range(0, rims.size, 2), key=likelihood)
     top = max((at for at in (top - 1, top, top + 1) if 0 <= at < rims.size), key=likelihood)
-    return max(
+    weight = {at: math.exp((likelihood(at) - likelihood(top)) / _ALIKE) for at in tried}
+    likely = [at for at in tried if weight[at] > _WEIGHT_MIN]
+    volumes = np.array([tried[at].volume_mm3(scene.nodes(float(rims[at]))) for at in likely])
+    shares = np.array([weight[at] for at in likely])
+    mean = float(shares @ volumes / shares.sum())
+    spread = math.sqrt(float(shares @ (volumes - mean) ** 2 / shares.sum()))
+    best = max(
         (_krige(scene, float(rims[top]), reach, size) for reach in _REACHES for size in _SIZES),
         key=lambda one: one.log_likelihood,
     )
+    return best, spread
 
 
 def _inside(contour: Floats, xy: Floats) -> Flags:
@@ -412,7 +432,9 @@ def _inside(contour: Floats, xy: Floats) -> Flags:
     x, y = xy.T[:, :, None]
     ahead = np.roll(contour, -1, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        at = contour[:, 0] + (y - contour[:, 1]) / (ahead[:, 1] - contour[:, 1]) * (ahead[:, 0] - contour[:, 0])
+        at = contour[:, 0] + (y - contour[:, 1]) / (ahead[:, 1] - contour[:, 1]) * (
+            ahead[:, 0] - contour[:, 0]
+        )
     crossed = (contour[:, 1] <= y) != (ahead[:, 1] <= y)
     return np.asarray((crossed & (at > x)).sum(axis=1) % 2 == 1)
 
