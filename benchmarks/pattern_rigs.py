@@ -11,7 +11,6 @@ truth. What is rendered is kept in a folder and used again.
 
 from __future__ import annotations
 
-import math
 import pickle
 import shutil
 from pathlib import Path

@@ -40,17 +40,17 @@ _SLICES_MIN = 3
 """Lines that show something of the product: a cross hair has two."""
 _RIM_POINTS = 60
 _NODES = 40, 12
-"""Lines over the footprint, nodes on each (Gauss in the angle whose sine is the place: of upright ends, too, so
-few tell the integral to 0.05 %)."""
+"""Lines over the footprint, nodes on each (Gauss in the angle whose sine is the place: of upright ends, too,
+so few tell the integral to 0.05 %)."""
 _RIMS = 12
 """Rim heights that are tried, from the belt to the median of the points."""
 _ALIKE = 15.0
-"""Points that count as one where rims are weighed: a body is not quite the process, and errs alike around it."""
+"""Points that count as one where rims are weighed: a body is not quite the process, and errs alike around."""
 _WEIGHT_MIN = 1e-3
 """Of the likeliest rim's, from which on a rim counts."""
 _RIM_HIGH, _RIM_HIGH_STD = 0.55, 0.03
-"""Of the top, from which on a rim's height is less likely, and how fast: what rests on a belt is seldom widest
-above its middle. A block is, and its points say so by far more."""
+"""Of the top, from which on a rim's height is less likely, and how fast: what rests on a belt is seldom
+widest above its middle. A block is, and its points say so by far more."""
 _REACHES = (0.35, 0.7)
 """Of the root of the footprint's area, that the process can reach."""
 _SIZES = (1.0, 3.0)
@@ -65,12 +65,12 @@ _DRAWS = 40
 _OUTLINE_STD_PX = 0.3
 """Taken where the outliner does not say how sure its contour is."""
 _WIDER = 3.0
-"""Of the spread of drawn fields: near the rim, where no point lies, bodies differ from the process by more than
-what it leaves open. On 75 products of four families residuals are then alike for flat and for round ones."""
+"""Of the spread of drawn fields: near the rim, where no point lies, bodies differ from the process by more
+than it leaves open, above all flat ones."""
 _LEAST_STD = 0.0015
 """Of the volume: what the model itself is off by where points lie close."""
 _OUTSIDE_MAX = 0.12
-"""Share of points that may lie outside the outline: of whole outlines at most 3 % do, and noise moves rims."""
+"""Share of points that may lie outside the outline: of whole outlines at most 3 % do, of parts 60 %."""
 OUTLINE = "outline"
 
 

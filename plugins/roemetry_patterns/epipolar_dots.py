@@ -101,14 +101,14 @@ class EpipolarDots(Coder[EpipolarDotsOptions]):
         found = candidates(peaks, usable, view, lines, rays, reach_mm)
         _refuse_other_pattern(found, usable.size, lines)
         evidence, best = decided(found, lines.shape[:2])
-        # what an edge has cut lies off its ray: it is asked where a ray is free, and is as uncertain as it is cut
+        # what an edge has cut lies off its ray: it is asked where a ray is free, and is that much less sure
         cut = np.setdiff1d(np.flatnonzero((peaks.flags & EDGE) == 0), found.dot)
         peaks = _wider(peaks, cut)
         more = candidates(peaks, cut, view, lines, rays, reach_mm)
         free = ~np.isin(more.ray, found.ray[best]) & (more.misfit < _CUT_OFF_MAX)
-        more = Candidates(*(one[free] for one in more))
+        more = Candidates._make(one[free] for one in more)
         if more.dot.size:
-            found = Candidates(*(np.concatenate(pair) for pair in zip(found, more, strict=True)))
+            found = Candidates._make(np.concatenate(pair) for pair in zip(found, more, strict=True))
             evidence_of_all, best_of_all = decided(found, lines.shape[:2])
             evidence = np.append(evidence, evidence_of_all[evidence.size :])
             best = np.append(best, best_of_all[best.size :])
