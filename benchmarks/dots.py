@@ -16,7 +16,7 @@ from benchmarks.command import parser_of
 from benchmarks.patterns import DOTS, NEAR_PX, VOLUME_HEAD, Volumes, off_cells, rendered, tell
 from benchmarks.tables import table
 from roemetry import Recipe
-from roemetry.records import Frame, Sensor, StripeTruth
+from roemetry.records import Frame, Sensor, StripeTruth, Trace
 from roemetry.records.arrays import Floats
 from roemetry.run.pipeline import Pipeline
 from roemetry_patterns.dot_centres import DotCentres
@@ -120,6 +120,14 @@ def products(seed: int, count: int, folder: Path) -> dict[str, str]:
         volumes.append([family, *measured.cells()])
     head = ["product", "right", "wrong", "false light labelled", "no label", "height error, median", "rms"]
     return {"labels": table(head, labels), "volumes": table(["product", *VOLUME_HEAD], volumes)}
+
+
+def judged_dots(trace: Trace, truth: StripeTruth | None) -> Any:
+    """Count dots on products: right, wrong, without a label; and false light that got a label."""
+    if trace.peaks is None or trace.stripes is None or truth is None:
+        return np.zeros(4, np.int64)
+    right, wrong, missed, _, stray = _judged(trace.stripes.peak_stripe, trace.peaks, truth)
+    return np.array([right, wrong, missed, stray])
 
 
 def _judged(label: Any, peaks: Any, truth: StripeTruth) -> Any:

@@ -115,15 +115,17 @@ def upright_of(calibration: Calibration) -> Calibration:
 class Volumes:
     """Volumes of one family, as one pipeline measures them, against their truth."""
 
-    def __init__(self, pipeline: Pipeline, what: str) -> None:
+    def __init__(self, pipeline: Pipeline | None, what: str) -> None:
         self._pipeline, self._what = pipeline, what
         self._found, self._seconds = Against(), list[float]()
 
-    def trace(self, item: Simulated, name: str) -> Trace:
-        """Measure an item; its largest product counts."""
+    def trace(self, item: Simulated, name: str, pipeline: Pipeline | None = None) -> Trace:
+        """Measure an item, with the family's pipeline or its own; its largest product counts."""
+        pipeline = pipeline or self._pipeline
+        assert pipeline is not None
         frames = tuple(replace(frame, name="item") for frame in item.frames)
         begin = time.process_time()
-        trace = self._pipeline.trace(Acquisition(name, frames))
+        trace = pipeline.trace(Acquisition(name, frames))
         self._seconds.append(time.process_time() - begin)
         found = max(
             trace.products, key=lambda one: int((one.product.profiles.product > 0).sum()), default=None
@@ -180,8 +182,8 @@ def labels(seed: int, count: int, folder: Path) -> str:
                 (trace.peaks.across, trace.stripes.across, truth.across if truth else None),
             ):
                 assert peaks is not None and stripes is not None and true is not None
-                judged += _judged(peaks, stripes, true)
                 over.append((_off_px(stripes, true) / stripes.x_std_px).ravel())
+            judged += judged_lines(trace, truth)
             errors.append(_height_errors(trace.profiles.xyz_mm[..., 2], trace.stripes, truth))
         ratio = np.concatenate([one[np.isfinite(one)] for one in over])
         right, wrong, missed, stray = judged.tolist()
@@ -194,6 +196,15 @@ def labels(seed: int, count: int, folder: Path) -> str:
         ["product", "right", "wrong", "no label", "other light labelled", "95 % intervals of peaks hold",
          "height error, median", "rms"], rows,
     )  # fmt: skip
+
+
+def judged_lines(trace: Trace, truth: StripeTruth | None) -> Any:
+    """Count peaks of both families on products, as `_judged` does; nothing where there is no map."""
+    if trace.peaks is None or trace.stripes is None or truth is None:
+        return np.zeros(4, np.int64)
+    counts = _judged(trace.peaks, trace.stripes, truth)
+    assert trace.peaks.across is not None and trace.stripes.across is not None and truth.across is not None
+    return counts + _judged(trace.peaks.across, trace.stripes.across, truth.across)
 
 
 def _judged(peaks: Peaks, stripes: StripeMap, truth: StripeTruth) -> Any:

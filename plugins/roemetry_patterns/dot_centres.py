@@ -36,6 +36,8 @@ _LEVELS = 4.0 / 255.0
 """Of white, that it rises at least."""
 _FINE_PX, _COARSE_PX = 1.0, 4.0
 """The image smoothed by the first, less that smoothed by the second, is where dots are looked for, px."""
+_NOISE_ROWS = 3
+"""The noise is told by every so many rows."""
 _REACH = 3.5
 """Standard deviations of a dot within which pixels count: beyond them is 0.2 % of its light."""
 _RADIUS_PX = (3, 12)
@@ -44,10 +46,14 @@ _APART = 0.6
 """Of the distance to the next dot, that the radius is at most."""
 _ROUNDS = 12
 """Steps of Fisher scoring at most: from a start within a pixel six settle."""
-_SETTLED_PX = 1e-4
-"""A step squares the error: the one that follows is the last."""
+_SETTLED_PX = 1e-3
+"""What is left after a step is a tenth of it and less: a hundredth of any dot's uncertainty."""
+_FIRST_RADIUS_PX = 5
+"""Of the pixels that count, before it is known how large dots are."""
+_SIZE_SAMPLE = 72
+"""Dots that are asked for their size."""
 _SAMPLE = 24
-"""Dots that tell of the speckle: each has some ten grains."""
+"""Of these, that tell of the speckle: each has some ten grains."""
 _CORRELATIONS = np.array([0.0, 0.3, 0.5, 0.65, 0.75])
 """Of neighbouring pixels' speckle, that are tried."""
 _ALIKE = 3
@@ -103,40 +109,43 @@ class Fit(NamedTuple):
 
 def found_dots(image: Floats, white: int, amplitude_min: float | None = None) -> tuple[Floats, float]:
     """Find tops of the image, (n, 3) x, y and height over the surroundings, and the noise of a dark pixel."""
-    from scipy.ndimage import gaussian_filter, maximum_filter
+    import cv2
 
     if min(image.shape) < 2 * _RADIUS_PX[0] + 1:
         return np.empty((0, 3)), 1.0
     # of rounded grey levels that hardly scatter, the rounding is what remains
-    noise = max(1.4826 * float(np.median(np.abs(np.diff(image, axis=1)))) / math.sqrt(2.0), 0.3)
-    raised = gaussian_filter(image, _FINE_PX) - gaussian_filter(image, _COARSE_PX)
+    noise = max(
+        1.4826 * float(np.median(np.abs(np.diff(image[::_NOISE_ROWS], axis=1)))) / math.sqrt(2.0), 0.3
+    )
+    smooth = (cv2.GaussianBlur(image.astype(np.float32), (0, 0), s) for s in (_FINE_PX, _COARSE_PX))
+    raised = next(smooth) - next(smooth)
     least = max(_NOISES * noise / (2.0 * math.sqrt(math.pi) * _FINE_PX), _LEVELS * white)
     if amplitude_min is not None:
         least = 0.5 * amplitude_min
-    top = (raised > least) & (raised == maximum_filter(raised, 5))
-    row, column = np.nonzero(top)
-    return np.column_stack([column, row, raised[top]]).astype(np.float64), noise
+    row, column = np.nonzero((raised > least) & (raised == cv2.dilate(raised, np.ones((5, 5), np.uint8))))
+    return np.column_stack([column, row, raised[row, column]]).astype(np.float64), noise
 
 
 def fitted_dots(image: Floats, white: float, starts: Floats, noise: float, gain: float) -> Fit:
-    """Fit all dots, twice: the first time tells of their size, of the gain (if it is NaN) and the speckle."""
+    """Fit all dots, after some have told of their size and of the speckle, which holds a gain that is NaN."""
     count = len(starts)
     values = np.column_stack(
         [starts, np.zeros(count), np.full(count, 2.0), np.zeros(count), np.full(count, 2.0)]
     )
     if not count:
         return Fit(values, np.empty((0, 2, 2)), np.empty(0), np.empty(0, np.bool_))
-    radius = np.full(count, 5)
     given = np.array([noise**2, 0.0 if math.isnan(gain) else gain, 0.0, 0.0])
-    _start(image, values, radius)
-    values, *_ = _fit(image, white, values, radius, given, _ROUNDS)
-    size = np.sqrt(np.nanmedian(values[:, 4] + values[:, 6]) / 2.0)
+    _start(image, values, np.full(count, _FIRST_RADIUS_PX))
+    # some dots tell of all how large they are, and then of the speckle
+    some = np.unique(np.linspace(0, count - 1, _SIZE_SAMPLE).astype(np.int64))
+    told, *_ = _fit(image, white, values[some], np.full(some.size, _FIRST_RADIUS_PX), given, _ROUNDS)
+    size = np.sqrt(np.nanmedian(told[:, 4] + told[:, 6]) / 2.0)
     radius = _radii(values[:, :2], float(size) if math.isfinite(size) else 1.5)
-    values, _, misfit, clipped = _fit(image, white, values, radius, given, _ROUNDS)
-    told = np.flatnonzero(np.isfinite(misfit) & ~clipped)
-    if told.size:
-        told = told[np.unique(np.linspace(0, told.size - 1, _SAMPLE).astype(np.int64))]
-        given[2:] = _speckle(image, values[told], radius[told], given)
+    told, _, misfit, clipped = _fit(image, white, told, radius[some], given, _ROUNDS)
+    kept = np.flatnonzero(np.isfinite(misfit) & ~clipped)
+    if kept.size:
+        kept = kept[np.unique(np.linspace(0, kept.size - 1, _SAMPLE).astype(np.int64))]
+        given[2:] = _speckle(image, told[kept], radius[some][kept], given)
     return Fit(*_fit(image, white, values, radius, given, _ROUNDS))
 
 
@@ -185,12 +194,12 @@ def _speckle(image: Floats, values: Floats, radius: Integers, given: Floats) -> 
         apart = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
         beside = np.where(apart == 1, light[:, None] * light, 0.0)
         seen += square @ off**2, off @ beside @ off
-        for into, sigma in (
-            (dark, np.diag(variance)),
-            *zip(alike, m[:, None] * m * _CORRELATIONS[:, None, None] ** apart, strict=True),
-        ):
-            made = left @ sigma @ left.T
-            into += square @ np.diag(made), (beside * made).sum()
+        # Σᵢⱼ Bᵢⱼ (AΣAᵀ)ᵢⱼ = Σᵢⱼ (AᵀBA)ᵢⱼ Σᵢⱼ: two products instead of two for each Σ
+        weights = np.stack([left.T @ (square[:, None] * left), left.T @ beside @ left])
+        dark += np.einsum("kii,i->k", weights, variance)
+        weights *= m[:, None] * m
+        of_distance = np.stack([np.bincount(apart.ravel(), one.ravel()) for one in weights])
+        alike += _CORRELATIONS[:, None] ** np.arange(of_distance.shape[1]) @ of_distance.T
     over = seen - dark
     if over[0] <= 0.0:
         return 0.0, 0.0
@@ -366,16 +375,23 @@ def _shared(
         for a in range(2):
             for b in range(7):
                 pull[k, a] += inverse[a, b] * slope[k, b] * weight[k] * light[k]
+    share = np.empty(
+        (_ALIKE + 1, _ALIKE + 1)
+    )  # of neighbours so far apart: a power takes longer than all else
+    for v in range(_ALIKE + 1):
+        for u in range(_ALIKE + 1):
+            share[v, u] = given[2] * given[3] ** (u * u + v * v)
     for y in range(down):
         for x in range(across):
             k = y * across + x
+            if weight[k] == 0.0:
+                continue
             for v in range(max(y - _ALIKE, 0), min(y + _ALIKE + 1, down)):
                 for u in range(max(x - _ALIKE, 0), min(x + _ALIKE + 1, across)):
                     n = v * across + u
                     if n == k:
                         continue
-                    share = given[2] * given[3] ** ((u - x) ** 2 + (v - y) ** 2)
                     for a in range(2):
                         for b in range(2):
-                            added[a, b] += share * pull[k, a] * pull[n, b]
+                            added[a, b] += share[abs(v - y), abs(u - x)] * pull[k, a] * pull[n, b]
     return added

@@ -5,8 +5,8 @@ over the rim, u = (Z − r)·|Z − r|, is smooth there, and of an ellipsoid it 
 quadratic in X and Y plus a Gaussian process (Matérn 5/2), observed at the dots, and 0 along the outline,
 which the camera sees at the rim's height. Rim height, reach and size of the process are those that make the
 points likeliest (Rasmussen and Williams 2006, chapters 2 and 5). The volume is the integral of r + √u over
-the footprint; its uncertainty comes from fields drawn from the process as the points leave it, from the
-rims that are likely, and from the outline.
+the footprint; its uncertainty comes from fields drawn from the process as the points leave it, from rims that
+are likely as well, and from the outline. Points outside the outline contradict it, and are refused.
 
 Without an outline the footprint is the points' convex hull, half a spacing larger, and there is no rim.
 
@@ -23,27 +23,37 @@ import numpy as np
 
 from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Reason, Shares, Surface, Volume
-from roemetry.records.arrays import Floats, Integers
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
 
-_POINTS_MAX = 250
-"""Points that count: the time grows with their cube, and more change no volume by 0.1 %."""
+_POINTS_MAX = 150
+"""Points that count: the time grows with their cube, and 250 bring a volume no nearer to the truth."""
 _POOLED_ROWS_MAX = 12
 """Rows of a line of which the mean point counts: on a radius of 100 px it lies 0.06 px under the surface."""
 _LEAST_STD_MM = 1e-3
 """Of a point, beside its neighbours."""
 _POINTS_MIN = 8
 """Six numbers of the quadratic are fitted."""
+_UNSURE = 6.0
+"""Of the median uncertainty, that a point's may be: dots that an edge has cut lie beside the surface."""
 _SLICES_MIN = 3
 """Lines that show something of the product: a cross hair has two."""
 _RIM_POINTS = 60
 _NODES = 40, 12
-"""Lines over the footprint, nodes on each (Gauss)."""
+"""Lines over the footprint, nodes on each (Gauss in the angle whose sine is the place: of upright ends, too,
+so few tell the integral to 0.05 %)."""
 _RIMS = 12
 """Rim heights that are tried, from the belt to the median of the points."""
-_REACHES = (0.35, 0.7, 1.4)
+_ALIKE = 15.0
+"""Points that count as one where rims are weighed: a body is not quite the process, and errs alike around."""
+_WEIGHT_MIN = 1e-3
+"""Of the likeliest rim's, from which on a rim counts."""
+_RIM_HIGH, _RIM_HIGH_STD = 0.55, 0.03
+"""Of the top, from which on a rim's height is less likely, and how fast: what rests on a belt is seldom
+widest above its middle. A block is, and its points say so by far more."""
+_REACHES = (0.35, 0.7)
 """Of the root of the footprint's area, that the process can reach."""
-_SIZES = (0.3, 1.0, 3.0)
+_SIZES = (1.0, 3.0)
 """Of what the quadratic leaves, that the process can be."""
 _FLAT_STD_MM = 0.05
 """Beside the points' own uncertainty: skin and print."""
@@ -54,8 +64,13 @@ _DRAWS = 40
 """Fields drawn: their spread is known to 11 %."""
 _OUTLINE_STD_PX = 0.3
 """Taken where the outliner does not say how sure its contour is."""
-_LEAST_STD = 0.003
-"""Of the volume: what the model itself is off by."""
+_WIDER = 3.0
+"""Of the spread of drawn fields: near the rim, where no point lies, bodies differ from the process by more
+than it leaves open, above all flat ones."""
+_LEAST_STD = 0.0015
+"""Of the volume: what the model itself is off by where points lie close."""
+_OUTSIDE_MAX = 0.12
+"""Share of points that may lie outside the outline: of whole outlines at most 3 % do, of parts 60 %."""
 OUTLINE = "outline"
 
 
@@ -73,24 +88,20 @@ class DotSurface(VolumeEstimator[StageOptions]):
     def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
         """Estimate the visible volume; StageError where there are too few points or it is not positive."""
         scene = _scene_of(product)
-        tried = [_krige(scene, rim) for rim in scene.rims()]
-        likely = np.array([one.log_likelihood for one in tried])
-        weight = np.exp(likely - likely.max())
-        weight /= weight.sum()
-        best = tried[int(likely.argmax())]
-        best = max(
-            (_krige(scene, best.rim_mm, reach, size) for reach in _REACHES for size in _SIZES),
-            key=lambda one: one.log_likelihood,
-        )
+        best, of_rims = _likeliest(scene)
+        outside = ~_inside(scene.contour(best.rim_mm), scene.xyz_mm[:, :2])
+        if outside.mean() > _OUTSIDE_MAX:
+            raise StageError(
+                f"{outside.mean():.0%} of the points on the product lie outside its outline",
+                hint="is the plain-light image of this product, and did its outline come out in one piece?",
+            )
         nodes = scene.nodes(best.rim_mm)
         volume = best.volume_mm3(nodes)
         if not volume > 0.0:
             raise StageError("the surface encloses nothing", hint="look at the coding and the belt's zero")
-        heights = np.array([one.volume_mm3(scene.nodes(one.rim_mm)) for one in tried])
-        mean = float(weight @ heights)
         budget = {
-            "between dots": best.spread_mm3(nodes),
-            "rim": math.sqrt(max(float(weight @ (heights - mean) ** 2), 0.0)),
+            "between dots": _WIDER * best.spread_mm3(nodes),
+            "rim": of_rims,
             "model": _LEAST_STD * volume,
         }
         if scene.outlined:
@@ -124,8 +135,7 @@ class DotSurface(VolumeEstimator[StageOptions]):
     def surface(self, product: Product) -> Surface | None:
         """Give the surface over the footprint, line by line."""
         scene = _scene_of(product)
-        tried = [_krige(scene, rim) for rim in scene.rims()]
-        best = max(tried, key=lambda one: one.log_likelihood)
+        best, _ = _likeliest(scene)
         nodes = scene.nodes(best.rim_mm, per_line=True)
         z = best.heights_mm(nodes[:, :2])
         grid = np.column_stack([nodes[:, :2], z]).reshape(-1, _NODES[1], 3)
@@ -184,29 +194,37 @@ class _Scene:
         `per_line`: as many on every line, from border to border.
         """
         contour = self.contour(rim_mm)
+        # lines run across what is long, so that nodes lie close to each other in both directions
+        turned = not per_line and bool(np.ptp(contour[:, 0]) > np.ptp(contour[:, 1]))
+        if turned:
+            contour = contour[:, ::-1]
         ahead = np.roll(contour, -1, axis=0)
         low, high = float(contour[:, 1].min()), float(contour[:, 1].max())
         step = (high - low) / _NODES[0]
+        angle, share = (0.5 * np.pi * one for one in np.polynomial.legendre.leggauss(_NODES[1]))
+        share = 0.5 * share * np.cos(angle)
         if per_line:
-            place, share = 0.5 + 0.499 * np.sin(np.linspace(-0.5, 0.5, _NODES[1]) * np.pi), np.ones(_NODES[1])
+            angle = np.linspace(-0.5, 0.5, _NODES[1]) * np.pi
+        place = 0.5 + (0.499 if per_line else 0.5) * np.sin(angle)
+        y = low + step * (np.arange(_NODES[0]) + 0.5)
+        line, at = np.nonzero((contour[:, 1] <= y[:, None]) != (ahead[:, 1] <= y[:, None]))
+        one, other = contour[at], ahead[at]
+        x = one[:, 0] + (y[line] - one[:, 1]) / (other[:, 1] - one[:, 1]) * (other[:, 0] - one[:, 0])
+        order = np.lexsort((x, line))  # every line leaves the border as often as it enters it
+        line, x = line[order], x[order]
+        if per_line:
+            first = np.flatnonzero(np.diff(line, prepend=-1))
+            last = np.append(first[1:], line.size) - 1
+            line, left, right = line[first], x[first], x[last]
         else:
-            place, share = np.polynomial.legendre.leggauss(_NODES[1])
-            place, share = 0.5 + 0.5 * place, 0.5 * share
-        found = []
-        for y in low + step * (np.arange(_NODES[0]) + 0.5):
-            cut = (contour[:, 1] <= y) != (ahead[:, 1] <= y)
-            one, other = contour[cut], ahead[cut]
-            x = np.sort(one[:, 0] + (y - one[:, 1]) / (other[:, 1] - one[:, 1]) * (other[:, 0] - one[:, 0]))
-            x = x[[0, -1]] if per_line else x
-            for left, right in zip(x[0::2], x[1::2], strict=False):
-                found.append(
-                    np.column_stack(
-                        [left + (right - left) * place, np.full(place.size, y), step * (right - left) * share]
-                    )
-                )
-        nodes = np.concatenate(found)
+            line, left, right = line[::2], x[::2], x[1::2]
+        wide = (right - left)[:, None]
+        nodes = np.stack(
+            [left[:, None] + wide * place, np.broadcast_to(y[line, None], (line.size, place.size)),
+             step * wide * share], axis=2,
+        ).reshape(-1, 3)  # fmt: skip
         nodes[:, 2] *= abs(_area(contour)) / nodes[:, 2].sum()  # ends of the lines are between nodes
-        return nodes
+        return nodes[:, [1, 0, 2]] if turned else nodes
 
 
 def _scene_of(product: Product) -> _Scene:
@@ -224,8 +242,10 @@ def _scene_of(product: Product) -> _Scene:
             f"Z = {high[2]:.1f} mm, and not its volume",
             hint="throw more lines, or dots; a cross hair shows a position",
         )
-    every_xy = xyz[:, :2]
-    xyz, std = _pooled(xyz, np.nan_to_num(std, nan=_FLAT_STD_MM), np.argwhere(on))
+    every_xy, place = xyz[:, :2], np.argwhere(on)
+    std = np.nan_to_num(std, nan=_FLAT_STD_MM)
+    sure = std <= _UNSURE * max(float(np.median(std)), _FLAT_STD_MM)
+    xyz, std = _pooled(xyz[sure], std[sure], place[sure])
     # the order of slices shall not matter, nor which of many points are left out
     order = np.lexsort(xyz.T)
     order = order[np.unique(np.linspace(0, len(xyz) - 1, min(len(xyz), _POINTS_MAX)).astype(np.int64))]
@@ -256,7 +276,8 @@ def _pooled(xyz_mm: Floats, std_mm: Floats, place: Integers) -> tuple[Floats, Fl
     rows = min(math.ceil(len(xyz_mm) / _POINTS_MAX), _POOLED_ROWS_MAX)
     if rows == 1:
         return xyz_mm, std_mm
-    group = np.unique(place // np.array([1, rows]), axis=0, return_inverse=True)[1].ravel()
+    slice_, part = place[:, 0], place[:, 1] // rows
+    group = np.unique(slice_ * (int(part.max()) + 1) + part, return_inverse=True)[1]
     weight = 1.0 / np.maximum(std_mm, _LEAST_STD_MM) ** 2
     total = np.bincount(group, weight)
     mean = [np.bincount(group, weight * one) / total for one in xyz_mm.T]
@@ -374,6 +395,48 @@ def _krige(scene: _Scene, rim_mm: float, reach: float = _REACHES[1], size: float
     slope = np.log(2.0 * np.hypot(over, 2.0 * scene.std_mm)).sum()
     likelihood = -0.5 * float(half_way @ half_way) - float(np.log(np.diag(factor)).sum()) + float(slope)
     return _Kriged(rim_mm, reach, size, likelihood, place, factor, trend, solved, prior)
+
+
+def _likeliest(scene: _Scene) -> tuple[_Kriged, float]:
+    """Give the likeliest surface, and the volume's spread over rims that are likely as well, mm³.
+
+    The rim is found first, among every second height and those beside the best, then reach and size.
+    """
+    rims = scene.rims()
+    top_mm = float(scene.xyz_mm[:, 2].max())
+    tried: dict[int, _Kriged] = {}
+
+    def likelihood(at: int) -> float:
+        if at not in tried:
+            tried[at] = _krige(scene, float(rims[at]))
+        high = max(float(rims[at]) / top_mm - _RIM_HIGH, 0.0) / _RIM_HIGH_STD
+        return tried[at].log_likelihood - 0.5 * _ALIKE * high**2
+
+    top = max(range(0, rims.size, 2), key=likelihood)
+    top = max((at for at in (top - 1, top, top + 1) if 0 <= at < rims.size), key=likelihood)
+    weight = {at: math.exp((likelihood(at) - likelihood(top)) / _ALIKE) for at in tried}
+    likely = [at for at in tried if weight[at] > _WEIGHT_MIN]
+    volumes = np.array([tried[at].volume_mm3(scene.nodes(float(rims[at]))) for at in likely])
+    shares = np.array([weight[at] for at in likely])
+    mean = float(shares @ volumes / shares.sum())
+    spread = math.sqrt(float(shares @ (volumes - mean) ** 2 / shares.sum()))
+    best = max(
+        (_krige(scene, float(rims[top]), reach, size) for reach in _REACHES for size in _SIZES),
+        key=lambda one: one.log_likelihood,
+    )
+    return best, spread
+
+
+def _inside(contour: Floats, xy: Floats) -> Flags:
+    """Say which places (n, 2) a closed contour encloses."""
+    x, y = xy.T[:, :, None]
+    ahead = np.roll(contour, -1, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = contour[:, 0] + (y - contour[:, 1]) / (ahead[:, 1] - contour[:, 1]) * (
+            ahead[:, 0] - contour[:, 0]
+        )
+    crossed = (contour[:, 1] <= y) != (ahead[:, 1] <= y)
+    return np.asarray((crossed & (at > x)).sum(axis=1) % 2 == 1)
 
 
 def _height(field: Floats, rim_mm: float) -> Floats:

@@ -17,6 +17,7 @@ It fails where false light falls onto the curve of a ray whose own dot is hidden
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -45,6 +46,10 @@ _OFF_MAX = 5.0
 """Standard deviations that a dot may lie off the curve of its ray."""
 _MODEL_PX = 0.06
 """Beside a dot's own covariance: what dots on slopes and edges are off their rays by."""
+_CUT_PX = 0.4
+"""Standard uncertainty of the centre of a dot that a product's edge has cut: a third of a dot's size."""
+_CUT_OFF_MAX = 2.5
+"""Of these, that it may lie off its ray's curve: of what a ray's light makes elsewhere a third is nearer."""
 _BELOW_MM, _ABOVE = 1.0, 0.05
 """Candidates reach below the belt by so much, and above the greatest height by this share of it."""
 _STEEP = 2.0
@@ -92,10 +97,34 @@ class EpipolarDots(Coder[EpipolarDotsOptions]):
         lines = rays.moved(calibration.parameters)
         usable = np.flatnonzero((peaks.flags & (EDGE | WIDE)) == 0)
         low, high = calibration.height_range_mm
-        found = candidates(peaks, usable, view, lines, rays, (low - _BELOW_MM, high * (1.0 + _ABOVE)))
+        reach_mm = low - _BELOW_MM, high * (1.0 + _ABOVE)
+        found = candidates(peaks, usable, view, lines, rays, reach_mm)
         _refuse_other_pattern(found, usable.size, lines)
         evidence, best = decided(found, lines.shape[:2])
+        # what an edge has cut lies off its ray: it is asked where a ray is free, and is that much less sure
+        cut = np.setdiff1d(np.flatnonzero((peaks.flags & EDGE) == 0), found.dot)
+        peaks = _wider(peaks, cut)
+        more = candidates(peaks, cut, view, lines, rays, reach_mm)
+        free = ~np.isin(more.ray, found.ray[best]) & (more.misfit < _CUT_OFF_MAX)
+        more = Candidates._make(one[free] for one in more)
+        if more.dot.size:
+            found = Candidates._make(np.concatenate(pair) for pair in zip(found, more, strict=True))
+            evidence_of_all, best_of_all = decided(found, lines.shape[:2])
+            evidence = np.append(evidence, evidence_of_all[evidence.size :])
+            best = np.append(best, best_of_all[best.size :])
         return _map(peaks, calibration, found, best, evidence, self.options.product_min_mm)
+
+
+def _wider(peaks: Peaks, cut: Integers) -> Peaks:
+    """Add to the covariance of dots what an edge moves their centres by."""
+    assert peaks.dots is not None
+    covariance = peaks.dots.covariance_px2.copy()
+    covariance[cut] = np.nan_to_num(covariance[cut]) + _CUT_PX**2 * np.eye(2)
+    return replace(
+        peaks,
+        x_std_px=np.sqrt(covariance[:, 0, 0]),
+        dots=replace(peaks.dots, covariance_px2=covariance),
+    )
 
 
 class Candidates(NamedTuple):

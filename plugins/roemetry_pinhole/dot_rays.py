@@ -176,18 +176,22 @@ def view_of(parameters: Mapping[str, Floats], lines: Floats, image_size: tuple[i
         pose = pose.copy()
         pose[:3, :3] = pose[:3, :3] @ rotation_of(motion, camera[0]).T
         camera[:2] = camera[:2] * (1.0 + motion[2])
-    planes = []
-    for column in lines:
-        known = column[np.isfinite(column[:, 0])]
-        points = np.concatenate([at_height(known, 0.0), at_height(known, _UP_MM)])
-        middle = points.mean(axis=0)
-        normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
-        normal = normal * (1.0 if normal[0] >= 0.0 else -1.0)
-        planes.append(np.append(normal, normal @ middle))
+    # a plane through points of every ray, those that are not known at the others' middle
+    points = np.concatenate([_at_height(lines, 0.0), _at_height(lines, _UP_MM)], axis=1)
+    middle = np.nanmean(points, axis=1, keepdims=True)
+    off = np.nan_to_num(points - middle)
+    normal = np.linalg.eigh(off.transpose(0, 2, 1) @ off)[1][:, :, 0]
+    normal *= np.where(normal[:, :1] >= 0.0, 1.0, -1.0)
+    planes = np.column_stack([normal, (normal * middle[:, 0]).sum(axis=1)])
     every = lines.reshape(-1, 4)
     every = every[np.isfinite(every[:, 0])]
     light_mm = nearest_point(at_height(every, 0.0), np.column_stack([every[:, 2:], np.ones(len(every))]))[0]
-    return View(image_size, camera_matrix(camera), pose, np.array(planes), camera[4:], light_mm)
+    return View(image_size, camera_matrix(camera), pose, planes, camera[4:], light_mm)
+
+
+def _at_height(lines: Floats, z_mm: float) -> Floats:
+    """Give (stripe, line, 3) the points of rays at a height."""
+    return at_height(lines.reshape(-1, 4), z_mm).reshape(*lines.shape[:2], 3)
 
 
 def rest_lines(view: View, lines: Floats) -> tuple[Floats, Floats]:

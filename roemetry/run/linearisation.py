@@ -29,9 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.errors import RoemetryError
-from roemetry.records import NOTHING, Estimate, Grade, Product, ProductTrace, Reason, StripeMap
+from roemetry.records import NOTHING, Dots, Estimate, Grade, Product, ProductTrace, Reason, StripeMap
 from roemetry.records.arrays import Flags, Floats
 from roemetry.records.calibration import Calibration
+from roemetry.records.light import at_height
 from roemetry.run.monte_carlo import (
     CALIBRATION,
     COVERAGE_FACTOR,
@@ -224,16 +225,16 @@ def _moves(scene: Scene, chain: Chain) -> tuple[Floats, Floats, Floats]:
     """Give (step, parameter) the calibration's independent steps, and how the products move with them.
 
     That is (step, node, 3) mm, and (node,) the share of the products' points at each. In a frame a point
-    moves as the nearest node of a lattice, which is the same for all frames; a scan's lines and dots are
-    their own.
+    moves as the nearest node of a lattice, which is the same for all frames; a scan's lines are their own.
     """
     stripes, calibration, triangulator = scene.stripes, scene.calibration, chain.triangulator
-    if isinstance(triangulator, Placing) or stripes.dots is not None:
-        if stripes.dots is None:
-            stripes = _every(stripes, _ROWS_APART)
+    if isinstance(triangulator, Placing):
+        stripes = _every(stripes, _ROWS_APART)
         steps, moves = _moved(stripes, stripes.product > 0, calibration, triangulator)
         return steps, moves.astype(np.float64), np.full(moves.shape[1], 1.0 / max(moves.shape[1], 1))
     lattice = _lattice_of(calibration, triangulator)
+    if stripes.dots is not None:
+        return _moves_of_dots(stripes, lattice)
     families = (stripes,) if stripes.across is None else (stripes, stripes.across)
     many, first = np.zeros(lattice.moves_mm.shape[1], np.int64), 0
     for family, nodes in zip(families, lattice.nodes, strict=True):
@@ -271,9 +272,27 @@ class _Lattice(NamedTuple):
     """Of the stripes and, in a grid, of the lines across."""
 
 
+def _moves_of_dots(stripes: StripeMap, lattice: _Lattice) -> tuple[Floats, Floats, Floats]:
+    """Give what `_moves` does: a dot moves as the node of its ray that is seen nearest to it."""
+    places, dots = lattice.nodes[0].places, stripes.dots
+    assert dots is not None and places.dots is not None
+    stripe, row = np.nonzero((stripes.product > 0) & (dots.line >= 0))
+    each = _heights_of_ray(places.rows, int(places.dots.line.max(initial=0)) + 1)
+    node = dots.line[stripe, row].astype(np.int64)[:, None] * each + np.arange(each)
+    off = (places.x_px[stripe[:, None], node] - stripes.x_px[stripe, row, None]) ** 2
+    off += (places.dots.y_px[stripe[:, None], node] - dots.y_px[stripe, row, None]) ** 2
+    known = np.isfinite(off).any(axis=1)
+    nearest = np.nan_to_num(off, nan=np.inf).argmin(axis=1)
+    number = np.cumsum(places.seen).reshape(places.seen.shape) - 1
+    at = number[stripe, node[np.arange(node.shape[0]), nearest]][known]
+    many = np.bincount(at, minlength=lattice.moves_mm.shape[1])
+    held = np.flatnonzero(many)
+    return lattice.steps, lattice.moves_mm[:, held].astype(np.float64), many[held] / max(many.sum(), 1)
+
+
 @lru_cache(maxsize=2)
 def _lattice_of(calibration: Calibration, triangulator: Any) -> _Lattice:
-    nodes = [_nodes_of(calibration)]
+    nodes = [_nodes_of(calibration) if calibration.rays is None else _nodes_of_rays(calibration)]
     places = nodes[0].places
     lit = places.seen
     if calibration.across is not None:
@@ -301,6 +320,37 @@ def _nodes_of(calibration: Calibration) -> _Nodes:
     interpolated, missing = np.zeros_like(lit), np.empty(0, np.int16)
     places = StripeMap(x_px, unknown, product, lit, unknown, interpolated, rest_px, missing)
     return _Nodes(places, first_px, step_px)
+
+
+def _heights_of_ray(rows: int, lines: int) -> int:
+    """Give how many nodes each ray has, so that those of a column find place in its rows."""
+    return max(min(_PLACES, rows // max(lines, 1)), 1)
+
+
+def _nodes_of_rays(calibration: Calibration) -> _Nodes:
+    """Give nodes on every ray, from the belt to the greatest height: dot by dot, each height in a row."""
+    rays, view, rows = calibration.rays, calibration.view, calibration.image_size[0]
+    assert rays is not None and view is not None
+    lines = rays.moved(calibration.parameters)
+    count = lines.shape[1]
+    each = _heights_of_ray(rows, count)
+    heights = np.linspace(*calibration.height_range_mm, each)
+    flat = np.repeat(lines.reshape(-1, 4), each, axis=0)
+    xy_px = view.project(at_height(flat, np.tile(heights, lines.shape[0] * count)))
+    shape = (lines.shape[0], rows)
+    seen = np.zeros(shape, np.bool_)
+    seen[:, : count * each] = np.isfinite(xy_px).all(axis=1).reshape(lines.shape[0], -1)
+    x_px, y_px, unknown = (np.full(shape, np.nan) for _ in range(3))
+    x_px[seen], y_px[seen] = xy_px[np.isfinite(xy_px).all(axis=1)].T
+    line = np.full(shape, -1, np.int16)
+    line[seen] = np.tile(np.repeat(np.arange(count), each), (lines.shape[0], 1))[seen[:, : count * each]]
+    product = np.where(seen, 1, NOTHING).astype(np.int16)
+    rest_px = calibration.rest_line_px(np.arange(rows, dtype=np.float64))
+    places = StripeMap(
+        x_px, unknown, product, seen, unknown, np.zeros(shape, np.bool_), rest_px, np.empty(0, np.int16),
+        dots=Dots(y_px, np.full((*shape, 2, 2), np.nan), line),
+    )  # fmt: skip
+    return _Nodes(places, x_px, math.nan)
 
 
 def _every(stripes: StripeMap, rows: int) -> StripeMap:

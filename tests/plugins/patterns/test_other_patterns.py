@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -10,11 +11,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from roemetry import Recipe
 from roemetry.errors import StageError
 from roemetry.records import Frame, Sensor, StripeMap
 from roemetry.records.calibration import Calibration
+from roemetry.testing.dots import DotRig
 from roemetry_coding.grid import GridPlanes
 from roemetry_patterns.dot_centres import DotCentres
+from roemetry_patterns.dot_surface import DotSurface
 from roemetry_patterns.epipolar_dots import EpipolarDots
 from roemetry_peaks.grid_lines import GridLines
 
@@ -91,3 +95,29 @@ def test_two_dots_that_have_merged_are_not_used_and_spoil_no_other(dots: Pixels)
     assert beside.sum() == 1
     assert not found.seen[beside].any()
     assert (found.dots.line == alone.dots.line)[~beside].all()
+
+
+def test_a_dot_that_an_edge_has_cut_is_labelled_and_says_how_unsure_it_is() -> None:
+    rig = DotRig()
+    places = rig.places_px(rig.hill())
+    places[7, 5, 1] += 0.6  # across its ray's curve by twelve times the other dots' uncertainty
+    found = EpipolarDots().code(rig.dots(places), rig.dot_calibration())
+    assert found.dots is not None
+    row = round(float(places[7, 5, 1]))
+    assert found.dots.line[7, row] == 5
+    assert found.dots.covariance_px2[7, row, 1, 1] > 0.15
+    others = found.dots.covariance_px2[np.isfinite(found.x_px)][:, 1, 1]
+    assert (others > 0.1).sum() == 1
+
+
+def test_an_outline_that_the_dots_contradict_is_refused() -> None:
+    recipe = Path("recipes/potato_dots")
+    laser, plain = (_read(recipe / folder / "potato_02.png") for folder in ("images", "images_plain"))
+    # the whole potato, and what is left of its outline where another lies: half of it
+    (whole,) = Recipe.load(recipe, sets=["uncertainty=none"]).trace(laser, plain=plain).products
+    assert whole.volume is not None and whole.product.outline is not None
+    outline = whole.product.outline
+    middle = np.median(outline.xy_px[:, 0])
+    half = np.minimum(outline.xy_px, [middle, np.inf])
+    with pytest.raises(StageError, match="lie outside its outline"):
+        DotSurface().estimate(replace(whole.product, outline=replace(outline, xy_px=half)))
