@@ -47,7 +47,15 @@ from roemetry.records import EDGE, SATURATED, Frame, Peaks, Reason
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import float_kernel
-from roemetry_kernels.image_levels import SHARE_MIN, doubts, faint, grey, plain_layout, scaled_level
+from roemetry_kernels.image_levels import (
+    SHARE_MIN,
+    clipped_beyond,
+    doubts,
+    faint,
+    grey,
+    plain_layout,
+    scaled_level,
+)
 from roemetry_peaks.fisher_scoring import CLIPPED, FAILED, FITTED, Fitted, Gaussians, fit_peaks, gauss
 from roemetry_peaks.searching import Narrowest, SearchOptions, searched
 from roemetry_peaks.smoothed_peaks import (
@@ -134,14 +142,15 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
         image, found = starts(frame, self.options)
-        noise = found.noise if found.noise is not None else estimated_noise(image, frame.white, found)
+        white = frame.highest
+        noise = found.noise if found.noise is not None else estimated_noise(image, white, found)
         if found.noise is None and self.options.speckle_contrast != "auto":
             noise = _noise_as_told(self.options, noise.variance, noise.gain)
         at = found.starts
-        fit = fitted(image, frame.white, found, noise)
-        core = middles_of_flanks(fit, image, frame.white, found)
-        undo_scattering(fit, image, frame.white, found, ~core)
-        kept = self._kept(fit, found, noise, frame.white)
+        fit = fitted(image, white, found, noise)
+        core = middles_of_flanks(fit, image, white, found)
+        undo_scattering(fit, image, white, found, ~core)
+        kept = self._kept(fit, found, noise, white)
         order: Any = slice(None) if kept.all() else np.flatnonzero(kept)
         if not _apart(at.row[order], fit.x_px[order], fit.sigma_px[order]).all():
             order = np.flatnonzero(kept)
@@ -166,7 +175,7 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
             amplitude=fit.amplitude[order],
             background=height,
             width_px=width,
-            flags=flags,
+            flags=flags | clipped_beyond(frame, row + found.top, x_px + found.left),
             correlation_rows=rows_of(share, noise.correlation),
             reasons=(
                 *(() if found.measured else (_ESTIMATED,)),
@@ -240,15 +249,15 @@ def starts(frame: Frame, options: MaximumLikelihoodOptions) -> tuple[Any, Found]
         given = _noise_as_told(options, variance, gain)
     quiet = max(background_noise(image) ** 2, rounding if variance is None else variance)
     slope = 0.0 if gain is None else gain
-    level = (np.arange(256) + 0.5) / 256.0 * frame.white
+    level = (np.arange(256) + 0.5) / 256.0 * frame.highest
     if options.threshold == "auto":
         rise = _NOISES * NOISE_LEFT * np.sqrt(np.maximum(quiet, (variance or 0.0) + slope * level))
         rise = np.maximum(rise, scaled_level(_LEVELS_MIN, frame))
     else:
         rise = np.full(256, scaled_level(options.threshold, frame))
-    where = smoothed_peaks(image, rise, frame.white)
+    where = smoothed_peaks(image, rise, frame.highest)
     if options.threshold == "auto":
-        seen = np.minimum(where.amplitude, float(frame.white))  # of a clipped top, more is a guess
+        seen = np.minimum(where.amplitude, float(frame.highest))  # of a clipped top, more is a guess
         if (low := faint(where.row, where.x_px, seen, SHARE_MIN)).any():
             where = type(where)._make(values[~low] for values in where)
     beside = light_beside(image, where, math.sqrt(quiet), slope)
@@ -256,7 +265,7 @@ def starts(frame: Frame, options: MaximumLikelihoodOptions) -> tuple[Any, Found]
     place = area.top, area.left, image.shape[1]
     none = np.zeros(where.row.size), np.zeros(where.row.size, np.bool_)
     found = Found(where, beside, variance, gain, rounding, quiet, given, measured, *place, *none)
-    error, lit = _model_error(image, frame.white, found)
+    error, lit = _model_error(image, frame.highest, found)
     return image, found._replace(error=error, lit=lit)
 
 

@@ -35,7 +35,15 @@ from roemetry.records.arrays import Floats, Integers
 from roemetry.records.stripes import EDGE, SATURATED
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import inlined, kernel
-from roemetry_kernels.image_levels import SHARE_MIN, doubts, faint, grey, plain_layout, scaled_level
+from roemetry_kernels.image_levels import (
+    SHARE_MIN,
+    clipped_beyond,
+    doubts,
+    faint,
+    grey,
+    plain_layout,
+    scaled_level,
+)
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA
 from roemetry_peaks.searching import SearchOptions, searched
 from roemetry_peaks.smoothed_peaks import background_noise, rounding_variance
@@ -91,7 +99,7 @@ class Steger(Extractor[StegerOptions]):
             rise=rise,
             noise=noise,
             widths_px=(options.width_min_px, options.width_max_px),
-            white=frame.white,
+            white=frame.highest,
         )
         order = np.lexsort((found.x_px, found.row))
         row, x_px = found.row[order], found.x_px[order]
@@ -100,15 +108,16 @@ class Steger(Extractor[StegerOptions]):
         order = order[inside]
         if options.threshold == "auto":
             order = order[~faint(found.row[order], found.x_px[order], found.amplitude[order], SHARE_MIN)]
+        row, x_px = found.row[order] + area.top, found.x_px[order] + area.left
         return Peaks(
             image_size=frame.size,
-            row=found.row[order] + area.top,
-            x_px=found.x_px[order] + area.left,
+            row=row,
+            x_px=x_px,
             x_std_px=np.full(order.size, np.nan),
             amplitude=found.amplitude[order],
             background=found.background[order],
             width_px=found.width_px[order],
-            flags=found.flags[order],
+            flags=found.flags[order] | clipped_beyond(frame, row, x_px),
             correlation_rows=sigma,
             reasons=doubts(image, frame.white, found.row[order], found.x_px[order], found.width_px[order]),
         )
