@@ -147,7 +147,7 @@ def _filters(sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 _STEEPEST = 10.0  # px a row: a stripe that leans more hardly crosses rows
-_LONG = 0.5  # a ridge's curvature along itself over that across; blobs have 1
+_LONG = 0.7  # a ridge's curvature along itself over that across: blobs have 1, beads of speckle or JPEG 0.6
 _WITHIN_PX = 0.6  # Steger's half pixel and some more, or noise lets a ridge fall between two pixels
 _APART_PX = 1.0  # ridge points of a row that are nearer are of one ridge
 _STRONGER = 3.0  # times: next to a ridge so much stronger another one is its shadow
