@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roemetry.errors import DataError
-from roemetry.records import Frame
-from roemetry.records.arrays import Flags, Floats
+from roemetry.records import SATURATED, Frame
+from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.reasons import Reason
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
 
@@ -36,10 +36,10 @@ def grey(frame: Frame) -> NDArray[Any]:
             f"Frame {frame.name!r} has colours ({pixels.shape[2]} values a pixel), expected one channel",
             hint="choose one by source.channel in the recipe (red, max, grey)",
         )
-    if frame.white < np.iinfo(pixels.dtype).max and (brightest := int(pixels.max())) > frame.white:
+    if frame.highest < np.iinfo(pixels.dtype).max and (brightest := int(pixels.max())) > frame.highest:
         raise DataError(
             f"Frame {frame.name!r} holds grey level {brightest}, "
-            f"but its bit depth of {frame.bit_depth} ends at {frame.white}",
+            f"but its bit depth of {frame.bit_depth} ends at {frame.highest}",
             hint="set the source's bit depth to what the camera gives",
         )
     return pixels
@@ -63,6 +63,19 @@ def scaled_level(level: float, frame: Frame) -> float:
     return level * frame.white / _WHITE_8_BIT
 
 
+def clipped_beyond(frame: Frame, row: Integers, x_px: Floats) -> NDArray[np.uint8]:
+    """Give `SATURATED` for peaks on light that the camera clipped and a headroom tells more of, else 0.
+
+    Kernels take for saturated what is at the frame's highest level; below, they use what a headroom tells.
+    """
+    flags = np.zeros(row.shape[0], np.uint8)
+    if frame.headroom:
+        for one in (np.floor(x_px), np.ceil(x_px)):
+            at = np.clip(one.astype(np.int64), 0, frame.size[1] - 1)
+            flags[frame.pixels[row, at] >= frame.white] = SATURATED
+    return flags
+
+
 _BLOCK = 16  # pixels whose differences are looked at together
 _BLOCKS_MAX = 1024  # looked at in all: the estimate is then good to 2 %
 _NOISE_ROWS_MAX = 32  # that they lie in: memory is read along rows
@@ -78,7 +91,7 @@ RISE_MIN = 6.0
 _STEEP_SHARE = 0.01  # of white: noisier images are looked at across the rows as well
 
 
-def image_noise(image: NDArray[Any], top: int, bottom: int, left: int, right: int) -> float:
+def image_noise(image: NDArray[Any], white: int, top: int, bottom: int, left: int, right: int) -> float:
     """Estimate the standard deviation of the noise in the dark parts of an image, grey levels.
 
     From differences of neighbouring pixels in blocks of 16 (a low quantile of the blocks), along the rows;
@@ -89,12 +102,14 @@ def image_noise(image: NDArray[Any], top: int, bottom: int, left: int, right: in
     ----------
     image : ndarray of uint8 or uint16, shape (rows, columns)
         Grey levels, contiguous and read-only.
+    white
+        The grey level that 255 stands for.
     top, bottom, left, right
         The part that is looked at: rows and columns from the first to the one after the last.
     """
     levels, columns = image.reshape(-1), image.shape[1]
     noise = _noise_of(_low_sum(levels, columns, 1, top, bottom, left, right))
-    if noise > _STEEP_SHARE * np.iinfo(image.dtype).max and bottom - top > 1:
+    if noise > _STEEP_SHARE * white and bottom - top > 1:
         # Where stripes fill the image every block holds a slope; from row to row they hardly change.
         noise = min(noise, _noise_of(_low_sum(levels, columns, columns, top, bottom - 1, left, right)))
     return max(noise, _QUANTISATION)
@@ -103,9 +118,9 @@ def image_noise(image: NDArray[Any], top: int, bottom: int, left: int, right: in
 def automatic_rise(image: NDArray[Any], white: int, top: int, bottom: int, left: int, right: int) -> int:
     """Choose by how much a stripe must rise: ten times the noise, at least 6 grey levels of 255.
 
-    The parameters are those of `image_noise`; `white` is the grey level that 255 stands for.
+    The parameters are those of `image_noise`.
     """
-    noise = image_noise(image, top, bottom, left, right)
+    noise = image_noise(image, white, top, bottom, left, right)
     return math.ceil(max(_NOISES * noise, RISE_MIN * white / 255.0))
 
 

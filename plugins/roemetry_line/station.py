@@ -570,7 +570,8 @@ def _load_kernels(recipe: Recipe) -> None:
         own = Recipe.load(recipe.path)
         first = own.source.make().read(own.references()[0])
     except (RoemetryError, IndexError):
-        first = Acquisition("warm", (Frame(np.zeros((480, 640), np.uint8)),))
+        colours = () if recipe.source_choice.contrast == "none" else (3,)
+        first = Acquisition("warm", (Frame(np.zeros((480, 640, *colours), np.uint8)),))
     Pipeline(recipe).trace(first)
 
 

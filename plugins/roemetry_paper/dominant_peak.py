@@ -25,6 +25,7 @@ from roemetry_kernels.compiling import kernel
 from roemetry_kernels.image_levels import (
     SHARE_MIN,
     automatic_rise,
+    clipped_beyond,
     doubts,
     faint,
     grey,
@@ -94,7 +95,7 @@ class DominantPeak(Extractor[DominantPeakOptions]):
         stated, pixels = self.options.threshold, grey(frame)
         threshold = rise_of(frame) if stated == "auto" else math.floor(scaled_level(stated, frame))
         lowest = self.options.start == "lowest"
-        scan = dominant_peaks(pixels, threshold, lowest=lowest, white=frame.white)
+        scan = dominant_peaks(pixels, threshold, lowest=lowest, white=frame.highest)
         return as_peaks(frame, without_faint(scan) if stated == "auto" else scan)
 
 
@@ -114,6 +115,7 @@ def as_peaks(frame: Frame, scan: Scan) -> Peaks:
     """Make the record of what a scan found in the frame; the scans do not model an uncertainty of x."""
     reasons = doubts(frame.pixels, frame.white, scan.row, scan.x_px, scan.width_px)
     unsaid = np.full(scan.row.shape[0], np.nan)
+    scan = scan._replace(flags=scan.flags | clipped_beyond(frame, scan.row, scan.x_px))
     return Peaks(image_size=frame.size, x_std_px=unsaid, reasons=reasons, **scan._asdict())
 
 

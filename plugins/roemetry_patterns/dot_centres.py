@@ -28,7 +28,7 @@ from roemetry.records import EDGE, SATURATED, WIDE, Dots, Frame, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import kernel
-from roemetry_kernels.image_levels import grey
+from roemetry_kernels.image_levels import clipped_beyond, grey
 
 _NOISES = 8.0
 """Of the smoothed image's noise, that a dot's top rises above its surroundings."""
@@ -88,9 +88,9 @@ class DotCentres(Extractor[DotCentresOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the dots of a frame; DataError where it has colours, or pixels above its bit depth."""
         image = np.ascontiguousarray(grey(frame), np.float64)
-        starts, noise = found_dots(image, frame.white, self.options.amplitude_min)
+        starts, noise = found_dots(image, frame.highest, self.options.amplitude_min)
         gain = math.nan if frame.sensor is None else frame.sensor.gain_grey_per_electron
-        fit = fitted_dots(image, float(frame.white), starts, noise, gain)
+        fit = fitted_dots(image, float(frame.highest), starts, noise, gain)
         return _peaks(fit, frame, self.options.width_max_px)
 
 
@@ -214,8 +214,8 @@ def _peaks(fit: Fit, frame: Frame, width_max_px: float) -> Peaks:
     with np.errstate(invalid="ignore"):
         inside = (x >= 0.0) & (x <= columns - 1.0) & (y >= 0.0) & (y <= rows - 1.0)
         width = _FWHM * np.sqrt(np.maximum(across, along))
-        known = fit.clipped | (amplitude <= _HEIGHT_MAX * frame.white)
-        known &= (background >= -_DARK_MAX * frame.white) & (background <= frame.white)
+        known = fit.clipped | (amplitude <= _HEIGHT_MAX * frame.highest)
+        known &= (background >= -_DARK_MAX * frame.highest) & (background <= frame.highest)
         sound = inside & known & (amplitude > 0.0) & np.isfinite(fit.misfit) & (width <= width_max_px)
         kept = np.flatnonzero(sound)
     kept = _once(fit.values, kept)
@@ -237,7 +237,8 @@ def _peaks(fit: Fit, frame: Frame, width_max_px: float) -> Peaks:
         amplitude=amplitude[kept],
         background=background[kept],
         width_px=_FWHM * np.sqrt(across[kept]),
-        flags=(SATURATED * fit.clipped[kept] + EDGE * edge + WIDE * odd).astype(np.uint8),
+        flags=(SATURATED * fit.clipped[kept] + EDGE * edge + WIDE * odd).astype(np.uint8)
+        | clipped_beyond(frame, row, x[kept]),
         dots=Dots(y[kept], covariance, np.full(kept.size, -1, np.int16)),
     )
 

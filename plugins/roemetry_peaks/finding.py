@@ -23,7 +23,15 @@ from pydantic import Field
 from roemetry.records import EDGE, SATURATED, Frame, Peaks
 from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
-from roemetry_kernels.image_levels import SHARE_MIN, automatic_rise, doubts, grey, plain_layout, scaled_level
+from roemetry_kernels.image_levels import (
+    SHARE_MIN,
+    automatic_rise,
+    clipped_beyond,
+    doubts,
+    grey,
+    plain_layout,
+    scaled_level,
+)
 from roemetry_peaks.peak_scan import GLARE, GLARING, Pixels, stripe_tops
 from roemetry_peaks.peak_window import Stripes, stripes_around
 from roemetry_peaks.searching import Area, SearchOptions, searched
@@ -87,7 +95,7 @@ def found(
     limits = {"width_min_px": options.width_min_px, "width_max_px": options.width_max_px}
     limits["share_min"] = SHARE_MIN if options.threshold == "auto" else 0.0
     limits["height_min"] = _HEIGHT_SHARE * threshold
-    stripes = stripes_around(pixels, tops, area, white=frame.white, **limits)
+    stripes = stripes_around(pixels, tops, area, white=frame.highest, **limits)
     x_px, x_std_px = np.empty((2, stripes.row.shape[0]))
     levels, columns = pixels.reshape(-1), pixels.shape[1]
     noise = noise_of(frame, options)
@@ -98,7 +106,7 @@ def found(
         contrast2 *= 1.0 + beyond_linear * contrast2
     else:  # quicker on one number
         contrast2[0] *= 1.0 + beyond_linear * float(contrast2[0])
-    centres(levels, columns, stripes, frame.white, noise, contrast2, x_px, x_std_px, *settings)
+    centres(levels, columns, stripes, frame.highest, noise, contrast2, x_px, x_std_px, *settings)
     outside, half_seen = what_is_odd(x_px, stripes.flags, columns)
     if half_seen:
         middles_of_half_seen(stripes, noise, contrast2, x_px, x_std_px)
@@ -122,6 +130,7 @@ def found(
     fields["x_std_px"], contradictions = corrected(
         pixels, **fields, sensor=(float(noise[0]), float(noise[1]))
     )
+    fields["flags"] |= clipped_beyond(frame, fields["row"], fields["x_px"])
     odd = doubts(pixels, frame.white, fields["row"], fields["x_px"], fields["width_px"])
     return Peaks(image_size=frame.size, correlation_rows=rows, reasons=(*contradictions, *odd), **fields)
 
@@ -137,7 +146,9 @@ def _with_leaving(
 ) -> dict[str, Any]:
     """Add the rows in which overexposed stripes leave the image, to what is known of each peak."""
     # few images have any
-    whose, row, x_px, x_std_px, width_px = leaving_stripes(levels, columns, area, frame.white, stripes, x_px)
+    whose, row, x_px, x_std_px, width_px = leaving_stripes(
+        levels, columns, area, frame.highest, stripes, x_px
+    )
     if not whose.size:
         return fields
     more = {

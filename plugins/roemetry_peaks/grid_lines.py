@@ -187,9 +187,9 @@ def _without(one: Gaussian, frame: Frame, light: Floats) -> Peaks:
     from scipy.ndimage import maximum_filter1d
 
     pixels = frame.pixels
-    left = np.clip(np.rint(pixels - light), 0, frame.white).astype(pixels.dtype)
-    white = pixels >= frame.white
-    left[white] = frame.white
+    left = np.clip(np.rint(pixels - light), 0, frame.highest).astype(pixels.dtype)
+    white = pixels >= frame.highest
+    left[white] = frame.highest
     peaks = one.extract(replace(frame, pixels=left))
     at = peaks.row, np.rint(peaks.x_px).astype(np.int64)
     beside = light[at]

@@ -70,7 +70,7 @@ def measured(frames: Sequence[Frame], options: MaximumLikelihoodOptions) -> dict
     if len(alike) > 1:
         raise DataError(f"the images differ in size, turn or bit depth: {sorted(alike)}")
     options = options.model_copy(update={"noise": None, "speckle_contrast": "auto"})
-    seen = [(*starts(frame, options), frame.white) for frame in frames]
+    seen = [(*starts(frame, options), frame.highest) for frame in frames]
     seen = [(image, found, white) for image, found, white in seen if found.starts.row.size]
     if not seen:
         raise DataError("there is no stripe in the images", hint="is the laser on? See threshold")

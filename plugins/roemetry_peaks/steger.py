@@ -35,7 +35,15 @@ from roemetry.records.arrays import Floats, Integers
 from roemetry.records.stripes import EDGE, SATURATED
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import inlined, kernel
-from roemetry_kernels.image_levels import SHARE_MIN, doubts, faint, grey, plain_layout, scaled_level
+from roemetry_kernels.image_levels import (
+    SHARE_MIN,
+    clipped_beyond,
+    doubts,
+    faint,
+    grey,
+    plain_layout,
+    scaled_level,
+)
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA
 from roemetry_peaks.searching import SearchOptions, searched
 from roemetry_peaks.smoothed_peaks import background_noise, rounding_variance
@@ -91,7 +99,7 @@ class Steger(Extractor[StegerOptions]):
             rise=rise,
             noise=noise,
             widths_px=(options.width_min_px, options.width_max_px),
-            white=frame.white,
+            white=frame.highest,
         )
         order = np.lexsort((found.x_px, found.row))
         row, x_px = found.row[order], found.x_px[order]
@@ -100,15 +108,16 @@ class Steger(Extractor[StegerOptions]):
         order = order[inside]
         if options.threshold == "auto":
             order = order[~faint(found.row[order], found.x_px[order], found.amplitude[order], SHARE_MIN)]
+        row, x_px = found.row[order] + area.top, found.x_px[order] + area.left
         return Peaks(
             image_size=frame.size,
-            row=found.row[order] + area.top,
-            x_px=found.x_px[order] + area.left,
+            row=row,
+            x_px=x_px,
             x_std_px=np.full(order.size, np.nan),
             amplitude=found.amplitude[order],
             background=found.background[order],
             width_px=found.width_px[order],
-            flags=found.flags[order],
+            flags=found.flags[order] | clipped_beyond(frame, row, x_px),
             correlation_rows=sigma,
             reasons=doubts(image, frame.white, found.row[order], found.x_px[order], found.width_px[order]),
         )
@@ -138,7 +147,7 @@ def _filters(sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 _STEEPEST = 10.0  # px a row: a stripe that leans more hardly crosses rows
-_LONG = 0.5  # a ridge's curvature along itself over that across; blobs have 1
+_LONG = 0.7  # a ridge's curvature along itself over that across: blobs have 1, beads of speckle or JPEG 0.6
 _WITHIN_PX = 0.6  # Steger's half pixel and some more, or noise lets a ridge fall between two pixels
 _APART_PX = 1.0  # ridge points of a row that are nearer are of one ridge
 _STRONGER = 3.0  # times: next to a ridge so much stronger another one is its shadow

@@ -50,7 +50,7 @@ class SourceChoice(Section):
     contrast: Contrast = Field(
         default="none",
         description="instead of a channel: that of the laser's colour, less the lamp light that others show; "
-        "halved, and a threshold in grey levels with it, where that tells overexposed cores from their halos",
+        "overexposed cores are told from their halos",
     )
     turn_deg: Turn = Field(
         default=0,

@@ -52,6 +52,9 @@ class Frame(Shown):
     name: str = ""
     bit_depth: int = 8
     """Bits in use; the white level is ``2**bit_depth - 1``."""
+    headroom: int = 0
+    """Grey levels above white that pixels reach where the camera's channel was clipped and others tell more
+    of the light, as in a contrast image; 0 in an image as taken."""
     turn_deg: int = 0
     """Counter-clockwise turn that has been applied to the image as acquired: 0, 90, 180 or 270."""
     time_s: float = math.nan
@@ -71,6 +74,8 @@ class Frame(Shown):
             faults.append(f"pixels have shape {pixels.shape}: the image is empty")
         if not 1 <= self.bit_depth <= 8 * pixels.dtype.itemsize:
             faults.append(f"bit_depth is {self.bit_depth}, which {pixels.dtype} cannot hold")
+        if self.headroom and not 0 < self.headroom <= np.iinfo(pixels.dtype).max - self.white:
+            faults.append(f"headroom is {self.headroom} above white, which {pixels.dtype} cannot hold")
         if self.turn_deg not in (0, 90, 180, 270):
             faults.append(f"turn_deg is {self.turn_deg}, expected 0, 90, 180 or 270")
         if faults:
@@ -86,8 +91,13 @@ class Frame(Shown):
 
     @property
     def white(self) -> int:
-        """Highest grey level the sensor can give."""
+        """Highest grey level the sensor can give; it clipped what reaches it."""
         return int(2**self.bit_depth - 1)
+
+    @property
+    def highest(self) -> int:
+        """Grey level from which on no pixel tells more of the light: `white`, and the headroom above it."""
+        return self.white + self.headroom
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)

@@ -7,19 +7,18 @@ again. The contrast is
 
     white · (g − r) / (white − r),    0 where r exceeds g, white where g is white.
 
-The denominator keeps clipped light clipped, unless cores are found (below). Where the laser's channel is
-clipped (JPEG leaves ripples: from 0.98 white on) and the others are nearly white, too, nothing is left to
-compare: an overexposed stripe's core looks like a lamp. The pixels beside decide: such light gets the smaller
-of the shares that contrast has of the light at both ends of it along the row, since a stripe's core has the
-laser's colour on both sides.
+The denominator keeps clipped light clipped. Where the laser's channel is clipped (JPEG leaves ripples: from
+0.98 white on) and the others are nearly white, too, nothing is left to compare: an overexposed stripe's core
+looks like a lamp. The pixels beside decide: such light gets the smaller of the shares that contrast has of
+the light at both ends of it along the row, since a stripe's core has the laser's colour on both sides.
 
 Where a stripe's halo clips the laser's channel as well, its core is not seen there, and the middle of what is
 clipped moves with the print below: on black the halo is no longer clipped, on white it is. The other channels
 go on. Their filters pass a little of the laser, so they show the core alone, as a shorter exposure would. A
 clipped pixel's excess is by how much they rise above the brightest light near it that is not clipped, over
 what is left to white, so that print is not taken for it; where a tenth of the rows or more show such cores,
-the contrast is halved to leave room for it. Clipped light is then no longer white, nor its peaks `SATURATED`,
-unless the other channels are clipped as well: what tells the core's place is not clipped.
+it is put on top of white, as the frame's headroom, which is as much as white again. What is not clipped keeps
+its grey levels; from white on light was clipped in the laser's channel, and such peaks are `SATURATED`.
 
 Assumed: the stripes fill less than half of the image, and light beside the laser is of one colour, whatever
 it falls on; what is of another colour (a green mark, for a green laser) keeps its own contrast.
@@ -71,10 +70,11 @@ def prepare(
         raise DataError(f"{acquisition.id}: there is no laser image")
     if bit_depth is None and laser.bit_depth == 16:
         _check_bits_in_use(laser)
+    bits = laser.bit_depth if bit_depth is None else bit_depth
     check_lines(laser)
     if acquisition.before is not None:
         check_repeats(laser, acquisition.before)
-    pixels, scale = _one_channel(laser, channel, contrast, turn_deg)
+    pixels, headroom = _one_channel(laser, channel, contrast, turn_deg, bits)
     if subtract == "dark":
         dark = acquisition.frame("dark")
         if dark is None:
@@ -82,7 +82,7 @@ def prepare(
                 f"{acquisition.id}: there is no dark image to subtract",
                 hint="name the dark images in source.options.dark, or set source.subtract to none",
             )
-        off, _ = _one_channel(dark, channel, contrast, turn_deg, scale)
+        off, _ = _one_channel(dark, channel, contrast, turn_deg, bits)
         if off.shape != pixels.shape or off.dtype != pixels.dtype:
             raise DataError(
                 f"{acquisition.id}: the dark image is {off.shape} {off.dtype}, "
@@ -92,8 +92,9 @@ def prepare(
     return replace(
         laser,
         pixels=pixels,
+        headroom=headroom,
         turn_deg=(laser.turn_deg + turn_deg) % 360,
-        bit_depth=laser.bit_depth if bit_depth is None else bit_depth,
+        bit_depth=bits,
         sensor=laser.sensor if sensor is None else sensor,
     )
 
@@ -127,19 +128,19 @@ def _turned(pixels: NDArray[Any], turn_deg: int) -> NDArray[Any]:
 
 
 def _one_channel(
-    frame: Frame, channel: str, contrast: str, turn_deg: int, scale: float | None = None
-) -> tuple[NDArray[Any], float]:
-    """Give one channel and its scale; `scale` is that of the image from which it is to be subtracted."""
+    frame: Frame, channel: str, contrast: str, turn_deg: int, bits: int
+) -> tuple[NDArray[Any], int]:
+    """Give one channel, and its headroom above white."""
     pixels = frame.pixels if turn_deg == 0 else np.rot90(frame.pixels, turn_deg // 90)
     if pixels.ndim == 3 and contrast != "none":
-        return _contrast(pixels, _BLUE_GREEN_RED[contrast], float(frame.white), scale)
+        return _contrast(pixels, _BLUE_GREEN_RED[contrast], 2**bits - 1, laser=frame.role == "laser")
     if pixels.ndim == 3 and channel == "max":
         pixels = pixels.max(axis=2)
     elif pixels.ndim == 3 and channel == "grey":
         pixels = np.rint(pixels @ _LUMA).astype(pixels.dtype)
     elif pixels.ndim == 3:
         pixels = pixels[:, :, _BLUE_GREEN_RED[channel]]
-    return np.ascontiguousarray(pixels), 1.0
+    return np.ascontiguousarray(pixels), 0
 
 
 _SAMPLE = 20_000  # pixels that the others' share is fitted to: good to a grey level
@@ -150,20 +151,19 @@ _CLIPPED = 0.98  # of white, from which on the laser's channel counts as clipped
 _ALL_WHITE = 0.9  # of white: other channels so bright tell nothing of a clipped pixel
 _BESIDE_PX = 9  # the largest share of contrast so near to the end of clipped light is its share
 _DARK = 0.25  # of white: the colour of darker pixels tells nothing of clipped light beside
-_HEADROOM = 0.5
-"""Of white, kept for what the other channels show beyond clipped light: half of a core's height, at which
-extractors measure its width, is then above its halo. From a third on lines on print are found alike."""
-_CORES_QUANTILE = 0.9  # cores in a tenth of all rows are a line's: a spot of glare does not change the scale
+_HEADROOM = 1.0
+"""Of white, on top of it for what the other channels show beyond clipped light: half of a core's height, at
+which extractors measure its width, is then above its halo. From a half on lines on print are found alike."""
+_CORES_QUANTILE = 0.9  # cores in a tenth of all rows are a line's: a spot of glare is none
 _ROOM_MIN = 0.2  # of white, in the sum of two channels: less is not told from noise and JPEG's ripples
 _NEAR_PX = 41  # in which the brightest light is looked for: the widest line that extractors take by default
 
 
-def _contrast(
-    pixels: NDArray[Any], own: int, white: float, scale: float | None
-) -> tuple[NDArray[Any], float]:
-    """(row, column) the laser's light in its own channel, and its scale; see the module's text.
+def _contrast(pixels: NDArray[Any], own: int, white: int, *, laser: bool) -> tuple[NDArray[Any], int]:
+    """(row, column) the laser's light in its own channel, and its headroom; see the module's text.
 
-    A scale that is given is taken, and no core looked for: there is none in an image without the laser.
+    Cores are looked for with the `laser` on. Pixels of 8 bits become 16 whether there are any or not: one
+    kind for all images of a run.
     """
     others = [k for k in range(3) if k != own]
     some = pixels.reshape(-1, pixels.shape[2])[:: max(1, pixels.shape[0] * pixels.shape[1] // _SAMPLE)]
@@ -183,18 +183,18 @@ def _contrast(
     out[clipped] = white
     lamp_or_core = (rest >= _ALL_WHITE * white) | (pixels[:, :, others].min(axis=2) >= _ALL_WHITE * white)
     _decide_by_ends(out, light, clipped & lamp_or_core, white)
-    if scale is None:
-        scale = _raise_cores(out, pixels[:, :, others], white)
-    else:
-        out *= scale
-    return np.ascontiguousarray(np.rint(out).astype(pixels.dtype)), scale
+    kind = np.uint16 if pixels.dtype == np.uint8 else pixels.dtype
+    headroom = 0
+    if laser and (1.0 + _HEADROOM) * white <= np.iinfo(kind).max:
+        headroom = _raise_cores(out, pixels[:, :, others], white)
+    return np.ascontiguousarray(np.rint(out).astype(kind)), headroom
 
 
-def _raise_cores(contrast: NDArray[np.float32], others: NDArray[Any], white: float) -> float:
-    """Let the other channels tell a core from its halo where both are clipped; give the contrast's scale."""
+def _raise_cores(contrast: NDArray[np.float32], others: NDArray[Any], white: int) -> int:
+    """Put on top of clipped light what the other channels tell of cores in it; give the headroom."""
     rows = np.flatnonzero((contrast >= white).any(axis=1))
     if not rows.size:
-        return 1.0
+        return 0
     import cv2
 
     clipped = contrast[rows] >= white
@@ -205,10 +205,10 @@ def _raise_cores(contrast: NDArray[np.float32], others: NDArray[Any], white: flo
     most = np.zeros(contrast.shape[0])
     most[rows] = excess.max(axis=1)
     cores = float(np.quantile(most, _CORES_QUANTILE))
-    kept = _HEADROOM * min(max(4.0 * cores - 1.0, 0.0), 1.0)  # from a quarter on, wholly from a half on
-    contrast *= 1.0 - kept
-    contrast[rows] += kept * white * excess
-    return 1.0 - kept
+    share = min(max(4.0 * cores - 1.0, 0.0), 1.0)  # from a quarter on, wholly from a half on
+    headroom = round(_HEADROOM * share / (2.0 - share) * white)
+    contrast[rows] += headroom * excess
+    return headroom
 
 
 def _decide_by_ends(

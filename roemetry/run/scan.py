@@ -117,7 +117,7 @@ def _read(lines: ScanLines, line: int, ready: Callable[[Acquisition], Frame], si
 
 
 def _alike(frames: Mapping[int, Frame]) -> bool:
-    return len({(frame.pixels.dtype, frame.bit_depth, frame.sensor) for frame in frames.values()}) == 1
+    return len({(frame.pixels.dtype, frame.highest, frame.sensor) for frame in frames.values()}) == 1
 
 
 def _stripes_of(

@@ -209,6 +209,25 @@ def test_stripes_cut_off_at_white(name: str, rng: np.random.Generator) -> None:
 
 
 @every_line_extractor
+def test_what_a_headroom_tells_of_clipped_light_is_used_and_flagged(
+    name: str, rng: np.random.Generator
+) -> None:
+    """As in contrast images: a threshold keeps its grey levels, whatever is above white."""
+    x_px = centres()
+    level = light(x_px[:2], amplitude=400.0) + light(x_px[2:3]) + light(x_px[3:], amplitude=60.0) - 28.0
+    pixels = np.rint(np.clip(level + rng.normal(0.0, 1.0, level.shape), 0.0, 510.0)).astype(np.uint16)
+    cls = REGISTRY.load(REGISTRY.find("extractor", name))
+    stage = cls(cls.Options(**TOLD.get(name, {}) | {"threshold": 100.0}))
+    peaks = stage.extract(Frame(pixels, bit_depth=8, headroom=255))
+    assert found_share(peaks, x_px[:3], 1.0) >= 0.95
+    assert not found_share(peaks, x_px[3:], 5.0)
+    assert not strays(peaks, x_px, 1.0)
+    bright = np.abs(x_px[:2][:, peaks.row] - peaks.x_px).min(axis=0) < 2.0
+    assert np.array_equal((peaks.flags & SATURATED) > 0, bright)
+    assert 350.0 < np.median(peaks.amplitude[bright]) < 450.0
+
+
+@every_line_extractor
 @pytest.mark.parametrize("lines", [slice(None), slice(0, 1)])
 def test_dark_lines_on_bright_ground_are_named_and_no_stripes(name, lines, rng) -> None:
     x_px = centres()[lines]

@@ -392,7 +392,7 @@ def picture_of(frame: Frame) -> bytes:
     import cv2
 
     pixels = frame.pixels
-    if frame.white != 255:
+    if frame.white != 255 or pixels.dtype != np.uint8:
         pixels = np.minimum(pixels.astype(np.float64) * (255.0 / frame.white), 255.0).astype(np.uint8)
     done, encoded = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     if not done:  # pragma: no cover - an array of bytes can always be encoded

@@ -8,7 +8,7 @@ from roemetry_kernels.image_levels import image_noise, plain_layout
 
 def noise_in(image):
     rows, columns = image.shape
-    return image_noise(plain_layout(image), 0, rows, 0, columns)
+    return image_noise(plain_layout(image), 255, 0, rows, 0, columns)
 
 
 @pytest.mark.parametrize("sigma", [1.5, 4.0, 12.0])

@@ -31,6 +31,15 @@ def inside(peaks: Peaks) -> np.ndarray:
     )
 
 
+def test_a_stripe_of_beads_has_no_gaps() -> None:
+    """As long as the blocks of a JPEG, and darker in between by four fifths."""
+    y, x = np.mgrid[:ROWS, :120]
+    light = 20.0 + 140.0 * (1.0 - 0.65 * np.cos(np.pi * y / 4.0)) * np.exp(-0.5 * ((x - 60.3) / 1.2) ** 2)
+    peaks = Steger().extract(Frame(np.clip(np.rint(light), 0, 255).astype(np.uint8)))
+    assert np.unique(peaks.row).size == ROWS
+    assert np.abs(peaks.x_px - 60.3).max() < 0.1
+
+
 @pytest.mark.parametrize("slope", [0.0, -0.5, 1.0, -2.5, 6.0])
 def test_leaning_stripes_are_where_they_are(slope: float, rng: np.random.Generator) -> None:
     pixels, x_px = leaning(slope, rng)

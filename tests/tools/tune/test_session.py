@@ -13,7 +13,7 @@ from pydantic import BaseModel, Field
 
 from roemetry.config.recipe import Recipe
 from roemetry.errors import ConfigurationError, DataError, OutputError
-from roemetry.records import AMBIGUOUS, SATURATED
+from roemetry.records import AMBIGUOUS, SATURATED, Frame
 from roemetry.run import api
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.rows import measurements_of
@@ -23,7 +23,7 @@ from roemetry_paper.density import Density
 from roemetry_paper.dominant_peak import DominantPeak
 from roemetry_paper.window_tracking import WindowTracking
 from roemetry_tools.tune.request import KINDS, StageRequest, TuneRequest, fields_of
-from roemetry_tools.tune.session import Session, packed, unpacked
+from roemetry_tools.tune.session import Session, packed, picture_of, unpacked
 
 
 def peaks(threshold: object = 60, **options: str) -> StageRequest:
@@ -191,6 +191,13 @@ def test_between_dots_there_are_no_gaps(root: Path) -> None:
     assert header["places"]["labelled"] > 300
     assert header["places"]["gaps"] == 0
     assert header["places"]["gap_list"] == []
+
+
+def test_what_stands_above_white_is_shown_white() -> None:
+    frame = Frame(np.array([[0, 100], [255, 400]], np.uint16), bit_depth=8, headroom=255)
+    shown = cv2.imdecode(np.frombuffer(picture_of(frame), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert shown.dtype == np.uint8
+    assert shown.tolist() == [[0, 100], [255, 255]]
 
 
 def test_a_deep_image_is_shown_in_eight_bits(line) -> None:
