@@ -132,6 +132,7 @@ def check_lines(laser: Frame) -> None:
     import cv2
 
     pixels, found = laser.pixels, None
+    pixels.max()  # a frame comes from memory in half the time in order: what is asked below lies scattered
     for what in ("row", "column"):
         if what == "row":
             if not _all_sound(_middle_of_rows(pixels)):
