@@ -204,7 +204,8 @@ def _underside_followed(
     grid[label == 0, 2] = 0.0
     plane = np.column_stack([np.ones(x.size), np.zeros((x.size, 2)), x])
     rims = np.array([0.0, _UNDER_RIM_MM])
-    points, label, added = followed_to(grid, label, plane, rims, np.repeat(rims[:, None], y.size, axis=1))
+    by_row = np.repeat(rims[:, None], y.size, axis=1)
+    points, label, added = followed_to(grid, label, plane, rims, by_row, np.ones(by_row.shape))
     return np.where(label > 0, base - points[..., 2], np.nan), added
 
 

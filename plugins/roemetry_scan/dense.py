@@ -26,7 +26,7 @@ from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Surfac
 from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
 from roemetry_kernels.compiling import float_kernel
-from roemetry_scan.flanks import POINTS, conic, rims_of
+from roemetry_scan.flanks import POINTS, conic
 
 _UNIFORM = 1.0 / math.sqrt(12.0)
 _OVER_GAP = 0.1
@@ -128,8 +128,8 @@ def sections_of(profiles: Profiles, number: int) -> Sections:
     if not gap.min() > 0.0:
         raise StageError("two slices lie at one place")
     xyz, on = profiles.xyz_mm[index], mine[index]
-    rims, _ = rims_of(profiles.xyz_mm, profiles.product, ~profiles.seen, int(profiles.product.max()))
-    table = _areas(xyz, on, profiles.seen[index], profiles.product[index], rims[number])
+    rim = float(profiles.rim_mm[number]) if number < profiles.rim_mm.size else math.nan
+    table = _areas(xyz, on, profiles.seen[index], profiles.product[index], rim)
     place = profiles.stripe[index]
     steps = np.maximum(np.abs(np.diff(place)), 1)
     held, own = np.zeros(index.size), np.zeros(index.size)
@@ -237,8 +237,8 @@ def _areas(xyz: Floats, mine: Flags, seen: Flags, label: Labels, rim: float) -> 
                 first = k
             last = k
         each = steps / count if count > 0 else 0.0
-        left = _beyond(xyz[i], mine[i], seen[i], label[i], first, 1, each, rim)
-        right = _beyond(xyz[i], mine[i], seen[i], label[i], last, -1, each, rim)
+        left = _beyond(xyz[i], mine[i], label[i], first, 1, each, rim)
+        right = _beyond(xyz[i], mine[i], label[i], last, -1, each, rim)
         area += left[0] * left[1] + right[0] * right[1]
         table[i, 0], table[i, 1], table[i, 5] = area, filled, bridged
         table[i, 2] = abs(xyz[i, last, 1] - xyz[i, first, 1]) + left[0] + right[0]
@@ -249,24 +249,23 @@ def _areas(xyz: Floats, mine: Flags, seen: Flags, label: Labels, rim: float) -> 
 
 @float_kernel
 def _beyond(
-    xyz: Floats, mine: Flags, seen: Flags, label: Labels, edge: int, inwards: int, step: float, rim: float
+    xyz: Floats, mine: Flags, label: Labels, edge: int, inwards: int, step: float, rim: float
 ) -> tuple[float, float]:
     """Give how far a slice goes on beyond its outermost point, mm, and the mean height there, mm.
 
     A wall or a slope ends half a step farther out on the mean. A flank that bulges goes on as
-    the conic of its last points: a camera over the belt's middle looks past the rim of what it sees to the
-    side, and light that grazes loses the last of it.
+    the conic of its last points, to the rim: a camera over the belt's middle looks past the rim of what it
+    sees to the side, and light that grazes loses the last of it. Points that were followed from other slices
+    are no nearer to the rim than those that were seen.
     """
     beside = edge - inwards
     half = 0.5 * step
-    if not seen[edge]:
-        return half, xyz[edge, 2]
     most = _BEYOND_STEPS * step
     if 0 <= beside < label.size and label[beside] == 0:
         most = abs(xyz[beside, 1] - xyz[edge, 1])
     d, z = np.empty(POINTS), np.empty(POINTS)
     count, k = 0, edge
-    while 0 <= k < seen.size and count < POINTS and mine[k] and seen[k]:
+    while 0 <= k < mine.size and count < POINTS and mine[k]:
         d[count], z[count] = abs(xyz[k, 1] - xyz[edge, 1]), xyz[k, 2]
         count += 1
         k += inwards

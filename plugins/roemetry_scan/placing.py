@@ -168,8 +168,8 @@ def motion_of(calibration: Calibration) -> Motion:
 
 def _with_flanks(profiles: Profiles) -> Profiles:
     """Add what is not seen of products' flanks."""
-    xyz_mm, label, added = followed(profiles.xyz_mm, profiles.product, profiles.plane)
-    return replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added)
+    xyz_mm, label, added, rims = followed(profiles.xyz_mm, profiles.product, profiles.plane)
+    return replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added, rim_mm=rims)
 
 
 def _lags(plane: Floats, motion: Floats, middle: int) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -38,6 +38,9 @@ class Profiles(Shown):
     reasons: tuple[Reason, ...] = ()
     scan: ScanFigures | None = None
     """What placing the lines came to, where the slices are lines of a scan."""
+    rim_mm: Floats = field(default_factory=lambda: np.empty(0))
+    """(product + 1,) height, by the product's number, at which flanks end that bulge over the belt; NaN where
+    it is not known. Empty: nobody has looked for it."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -49,6 +52,7 @@ class Profiles(Shown):
             check.array(name, np.float64, (slices, points))
         for name in ("stripe", "frame"):
             check.array(name, np.int64, (slices,))
+        check.array("rim_mm", np.float64, (None,))
         plane = check.array("plane", np.float64, (slices, 4))
         if plane.shape == (slices, 4) and slices:
             length = np.sqrt((plane[:, :3] ** 2).sum(axis=1))

@@ -337,6 +337,7 @@ def _only(profiles: Profiles, number: int) -> Profiles:
         plane=profiles.plane[slices],
         reasons=profiles.reasons,
         scan=profiles.scan,
+        rim_mm=profiles.rim_mm,
     )
 
 
