@@ -40,6 +40,8 @@ _EDGE_POINTS = 0.5
 """Points by which each edge of a slice may lie otherwise, uniform."""
 _BEYOND_STEPS = 2.0
 """An outermost point beyond which more is missing would have been followed by the assembler."""
+_TELLS_RIM = 3.0
+"""Slices so many points apart tell how high a product's rim lies better than the end of each slice does."""
 TO_RIM = 2.0 / 3.0
 """Of the last point's height over the rim, on the mean from there to it: a parabola's."""
 _SURFACE_SLICES, _SURFACE_POINTS = 160, 64
@@ -128,7 +130,9 @@ def sections_of(profiles: Profiles, number: int) -> Sections:
     if not gap.min() > 0.0:
         raise StageError("two slices lie at one place")
     xyz, on = profiles.xyz_mm[index], mine[index]
-    rim = float(profiles.rim_mm[number]) if number < profiles.rim_mm.size else math.nan
+    spacing = float(np.nanmedian(np.abs(np.diff(xyz[..., 1], axis=1))))
+    dense = number < profiles.rim_mm.size and float(np.median(gap)) <= _TELLS_RIM * spacing
+    rim = float(profiles.rim_mm[number]) if dense else math.nan
     table = _areas(xyz, on, profiles.seen[index], profiles.product[index], rim)
     place = profiles.stripe[index]
     steps = np.maximum(np.abs(np.diff(place)), 1)
@@ -237,8 +241,8 @@ def _areas(xyz: Floats, mine: Flags, seen: Flags, label: Labels, rim: float) -> 
                 first = k
             last = k
         each = steps / count if count > 0 else 0.0
-        left = _beyond(xyz[i], mine[i], label[i], first, 1, each, rim)
-        right = _beyond(xyz[i], mine[i], label[i], last, -1, each, rim)
+        left = _beyond(xyz[i], mine[i], seen[i], label[i], first, 1, each, rim)
+        right = _beyond(xyz[i], mine[i], seen[i], label[i], last, -1, each, rim)
         area += left[0] * left[1] + right[0] * right[1]
         table[i, 0], table[i, 1], table[i, 5] = area, filled, bridged
         table[i, 2] = abs(xyz[i, last, 1] - xyz[i, first, 1]) + left[0] + right[0]
@@ -249,23 +253,26 @@ def _areas(xyz: Floats, mine: Flags, seen: Flags, label: Labels, rim: float) -> 
 
 @float_kernel
 def _beyond(
-    xyz: Floats, mine: Flags, label: Labels, edge: int, inwards: int, step: float, rim: float
+    xyz: Floats, mine: Flags, seen: Flags, label: Labels, edge: int, inwards: int, step: float, rim: float
 ) -> tuple[float, float]:
     """Give how far a slice goes on beyond its outermost point, mm, and the mean height there, mm.
 
     A wall or a slope ends half a step farther out on the mean. A flank that bulges goes on as
     the conic of its last points, to the rim: a camera over the belt's middle looks past the rim of what it
-    sees to the side, and light that grazes loses the last of it. Points that were followed from other slices
-    are no nearer to the rim than those that were seen.
+    sees to the side, and light that grazes loses the last of it. Where the rim is known, points that were
+    followed from other slices are as good as seen ones: they lie no nearer to it.
     """
     beside = edge - inwards
     half = 0.5 * step
+    only_seen = math.isnan(rim)
+    if only_seen and not seen[edge]:
+        return half, xyz[edge, 2]
     most = _BEYOND_STEPS * step
     if 0 <= beside < label.size and label[beside] == 0:
         most = abs(xyz[beside, 1] - xyz[edge, 1])
     d, z = np.empty(POINTS), np.empty(POINTS)
     count, k = 0, edge
-    while 0 <= k < mine.size and count < POINTS and mine[k]:
+    while 0 <= k < mine.size and count < POINTS and mine[k] and (seen[k] or not only_seen):
         d[count], z[count] = abs(xyz[k, 1] - xyz[edge, 1]), xyz[k, 2]
         count += 1
         k += inwards
