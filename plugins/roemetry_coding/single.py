@@ -42,6 +42,8 @@ _JUMP = 1.5
 """A break of the line costs as much as one and a half rows on peaks that brighter ones outshine."""
 _SKIP = 0.8
 """A row without the line: a peak of less than a fifth of its row's brightest is rather left out."""
+_ROUNDED = 1e-9
+"""Above what is rounded in a sum of costs."""
 _LINE_ROWS_MIN = 10
 """Fewer are no line."""
 
@@ -153,7 +155,9 @@ def brightest_path(row_start: Integers, x_px: Floats, amplitude: Floats) -> tupl
         begin, end = row_start[row], row_start[row + 1]
         if begin == end:
             continue
-        brightest = max(amplitude[begin:end].max(), 1e-12)
+        brightest = 1e-12
+        for p in range(begin, end):
+            brightest = max(brightest, amplitude[p])
         for p in range(begin, end):
             own[p] = 1.0 - amplitude[p] / brightest
     forward = _least(row_start, x_px, own, False)
@@ -186,12 +190,15 @@ def _least(row_start: Integers, x_px: Floats, own: Floats, backwards: bool) -> F
     rows = row_start.size - 1
     cost, cheapest = np.empty(own.size), np.full(rows, np.inf)
     so_far = 0.0  # the least of any path that ends in a row before those looked back at, up to this row
+    earlier = 0.0  # the same without the row before
     for done in range(rows):
         row = rows - 1 - done if backwards else done
         jumped = so_far + (0.0 if done == 0 else _JUMP)
         for p in range(row_start[row], row_start[row + 1]):
             best = jumped
             for back in range(1, min(_LOOK_BACK_ROWS, done) + 1):
+                if back == 2 and earlier + _SKIP - _ROUNDED >= best:
+                    break  # nearly always: no path over an earlier row is as cheap
                 other = row + back if backwards else row - back
                 if cheapest[other] + (back - 1) * _SKIP >= best:
                     continue
@@ -202,5 +209,5 @@ def _least(row_start: Integers, x_px: Floats, own: Floats, backwards: bool) -> F
         for p in range(row_start[row], row_start[row + 1]):
             cheapest[row] = min(cheapest[row], cost[p])
         least = min(so_far + _SKIP, cheapest[row])
-        so_far = least
+        earlier, so_far = so_far, least
     return cost

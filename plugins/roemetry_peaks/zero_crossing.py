@@ -16,16 +16,18 @@ Source: Blais, Rioux (1986), Real-time numerical peak detector, Signal Processin
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from roemetry.records import Frame, Peaks
-from roemetry.records.arrays import Floats
+from roemetry.records.arrays import Floats, Integers
 from roemetry.records.stripes import EDGE
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import float_kernel, inlined
+from roemetry_kernels.steep_steps import count_steps
 from roemetry_peaks.finding import PeakOptions, found
 from roemetry_peaks.peak_scan import Pixels
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA, Stripes
@@ -53,6 +55,10 @@ class ZeroCrossing(Extractor[ZeroCrossingOptions]):
     def rows_apart(self) -> int:
         """Give 0: each row is measured by itself."""
         return 0
+
+    def count_steps(self, pixels: NDArray[Any], least: int) -> tuple[Integers, Integers, Integers]:
+        """Count steps of the grey level in one pass."""
+        return count_steps(pixels, least)
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""

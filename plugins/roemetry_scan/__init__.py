@@ -35,5 +35,6 @@ def roemetry_verbs() -> Iterable[VerbEntry]:
     for name, function, summary in (
         ("register-heads", "register_heads", "Register two heads to each other by a plate that both see."),
         ("two-sides", "two_sides", "Measure true volumes of products seen from above and below."),
+        ("side-by-side", "side_by_side", "Join the scans of heads side by side over a wide belt."),
     ):
         yield VerbEntry(name, f"roemetry_scan.commands:{function}", summary)

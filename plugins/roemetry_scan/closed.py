@@ -37,7 +37,7 @@ _BALL_SHARE = 0.33
 """As in `roemetry_scan.motion`."""
 _UNDER_RIM_MM = 1.0
 """Zero from which the underside is followed lies so far over the rim: conics are fitted to what rises."""
-_OFF_MAX_MM = 0.5
+OFF_MAX_MM = 0.5
 """Centres that fit one another worse than this are not those of one plate."""
 
 
@@ -82,14 +82,10 @@ def registered(top: Floats, bottom: Floats) -> Registration:
         if np.count_nonzero(mutual) < 3:
             break
         a, b = bottom[mutual], top[match[mutual]]
-        u, _, v = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
-        turn = v.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))]) @ u.T
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = turn, b.mean(axis=0) - turn @ a.mean(axis=0)
-        off = a @ turn.T + pose[:3, 3] - b
-        best = Registration(pose, float(np.sqrt((off**2).sum(axis=1).mean())), len(a))
-        carried = bottom @ turn.T + pose[:3, 3]
-    if best is None or best.rms_mm > _OFF_MAX_MM:
+        pose, rms_mm = laid_on(a, b)
+        best = Registration(pose, rms_mm, len(a))
+        carried = bottom @ pose[:3, :3].T + pose[:3, 3]
+    if best is None or best.rms_mm > OFF_MAX_MM:
         said = (
             "fewer than three balls match"
             if best is None
@@ -100,6 +96,16 @@ def registered(top: Floats, bottom: Floats) -> Registration:
             hint="is it one plate, and has it moved between heads?",
         )
     return best
+
+
+def laid_on(a: Floats, b: Floats) -> tuple[Floats, float]:
+    """Give the rigid motion (4, 4) that lays points (n, 3) on others, and what is left, mm rms (Kabsch)."""
+    u, _, v = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
+    turn = v.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))]) @ u.T
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn, b.mean(axis=0) - turn @ a.mean(axis=0)
+    off = a @ turn.T + pose[:3, 3] - b
+    return pose, float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
 def ball_centres(profiles: Profiles, plate: SpherePlate) -> Floats:
@@ -134,7 +140,7 @@ def closed_volume(
     """
     sides: list[Floats] = []
     pose = registration.T_top_bottom
-    moved = _begun_later(top, bottom, registration)
+    moved = begun_later(top, bottom, registration)
     for profiles, number in zip((top, bottom), numbers, strict=True):
         mine = profiles.product == number
         if np.count_nonzero(mine & profiles.seen) < 100:
@@ -204,7 +210,8 @@ def _underside_followed(
     grid[label == 0, 2] = 0.0
     plane = np.column_stack([np.ones(x.size), np.zeros((x.size, 2)), x])
     rims = np.array([0.0, _UNDER_RIM_MM])
-    points, label, added = followed_to(grid, label, plane, rims, np.repeat(rims[:, None], y.size, axis=1))
+    by_row = np.repeat(rims[:, None], y.size, axis=1)
+    points, label, added = followed_to(grid, label, plane, rims, by_row, np.ones(by_row.shape))
     return np.where(label > 0, base - points[..., 2], np.nan), added
 
 
@@ -226,8 +233,8 @@ def first_counts(top: Profiles, bottom: Profiles) -> tuple[float, float] | None:
     return None if math.isnan(upper) else (upper, lower)
 
 
-def _begun_later(top: Profiles, bottom: Profiles, registration: Registration) -> Floats:
-    """Give (3,) mm in the upper frame that the lower slices move by, since scans began at other counts.
+def begun_later(top: Profiles, bottom: Profiles, registration: Registration) -> Floats:
+    """Give (3,) mm in the upper (left) frame that the lower (right) slices move by, by other first counts.
 
     X counts from each scan's own first line. The registration holds for the counts that lay between both
     heads' first lines when the plate went through; the belt has run what the product's differ from those.

@@ -1,4 +1,4 @@
-"""``roemetry register-heads`` and ``two-sides``: heads above and below, or a product turned over."""
+"""``roemetry register-heads``, ``two-sides``, ``side-by-side``: several heads, or a product turned over."""
 
 from __future__ import annotations
 
@@ -10,15 +10,32 @@ import typer
 
 if TYPE_CHECKING:
     from roemetry.records import Trace
+    from roemetry_scan.closed import Registration
+
+_ABOVE, _BESIDE = "T_top_bottom", "T_left_right"
+"""Keys of a registration: of a head above and one below, or of two side by side."""
 
 
 def register_heads(
-    top: Annotated[Path, typer.Argument(help="Recipe of the upper head, whose source is its plate scan.")],
-    bottom: Annotated[Path, typer.Argument(help="Recipe of the lower head, likewise.")],
+    top: Annotated[
+        Path, typer.Argument(help="Recipe of the upper (left) head, whose source is its plate scan.")
+    ],
+    bottom: Annotated[Path, typer.Argument(help="Recipe of the lower (right) head, likewise.")],
     plate: Annotated[Path, typer.Option("--plate", help="Target file of the sphere plate.")],
     out: Annotated[Path, typer.Option("--out", help="The registration; an existing one is replaced.")] = Path(
         "registration.yaml"
     ),
+    beside: Annotated[
+        bool, typer.Option("--beside", help="Both heads look down, side by side: the left one first.")
+    ] = False,
+    apart: Annotated[
+        float | None,
+        typer.Option(
+            "--apart",
+            help="With --beside: Y of the right head's zero in the left one's frame, mm, where the balls fit "
+            "in more than one way.",
+        ),
+    ] = None,
 ) -> None:
     """Register two heads to each other by one sphere plate whose balls both see."""
     from roemetry.config.target_file import read_sphere_plate
@@ -26,6 +43,7 @@ def register_heads(
     from roemetry.io.files import write_whole
     from roemetry.io.yaml_source import dump
     from roemetry_scan.closed import ball_centres, first_counts, registered
+    from roemetry_scan.side_by_side import looked_at, registered_beside
 
     described = read_sphere_plate(plate.name, plate.parent)
     assert described is not None
@@ -36,8 +54,21 @@ def register_heads(
             why = next((reason.text for reason in trace.absent.values()), "nothing was placed")
             raise CalibrationError(f"{recipe}: the plate was not measured: {why}")
         plates.append(trace.profiles)
-    found = registered(*(ball_centres(one, described) for one in plates))
-    told = {"roemetry_registration": 1, "T_top_bottom": found.T_top_bottom.tolist()}
+    centres = [ball_centres(one, described) for one in plates]
+    if beside:
+        looked = (
+            looked_at(plates[0], described.diameter_mm / 2),
+            looked_at(plates[1], described.diameter_mm / 2),
+        )
+        # of a ball at the end of what a head sees the centre is not known
+        whole = [
+            one[((one[:, :2] > low) & (one[:, :2] < high)).all(axis=1)]
+            for one, (low, high) in zip(centres, looked, strict=True)
+        ]
+        found = registered_beside(whole[0], whole[1], looked, apart)
+    else:
+        found = registered(*centres)
+    told = {"roemetry_registration": 1, _BESIDE if beside else _ABOVE: found.T_top_bottom.tolist()}
     told |= {"rms_mm": found.rms_mm, "balls": found.balls}
     counts = first_counts(*plates)
     write_whole(out, dump(told | ({"first_counts": list(counts)} if counts is not None else {})))
@@ -53,27 +84,11 @@ def two_sides(
     ),
 ) -> None:
     """Measure true volumes of products that two heads see; acquisitions are paired in order."""
-    import numpy as np
-
-    from roemetry.errors import CalibrationError, DataError, RoemetryError
+    from roemetry.errors import DataError, RoemetryError
     from roemetry.io.files import write_whole
-    from roemetry.io.yaml_source import read_numbers
-    from roemetry_scan.closed import CAUSES, Registration, closed_volume
+    from roemetry_scan.closed import CAUSES, closed_volume
 
-    data = read_numbers(registration)
-    try:
-        pose = np.array(data["T_top_bottom"], np.float64)
-        begun = data.get("first_counts")
-        if begun is not None:
-            upper_count, lower_count = begun
-            begun = float(upper_count), float(lower_count)
-        found = Registration(pose, float(data["rms_mm"]), int(data["balls"]), begun)
-        if pose.shape != (4, 4) or not np.isfinite(pose).all():
-            raise ValueError("T_top_bottom is no 4 × 4 matrix of numbers")
-    except (KeyError, TypeError, ValueError) as error:
-        raise CalibrationError(
-            f"{registration}: no registration of two heads ({error})", hint="make one with register-heads"
-        ) from error
+    found = _registration(registration, _ABOVE)
     causes = ",".join(f"{cause} (cm³)" for cause in CAUSES)
     lines = [
         f"acquisition,true volume (cm³),standard uncertainty (cm³),95 % from (cm³),to (cm³),{causes},reason"
@@ -100,6 +115,99 @@ def two_sides(
         typer.echo(f"{upper.acquisition_id}: {volume.value / 1000:.2f} ± {volume.std / 1000:.2f} cm³")
     write_whole(out, "\n".join(lines) + "\n")
     typer.echo(str(out))
+
+
+def side_by_side(
+    heads: Annotated[list[Path], typer.Argument(help="Recipes of the heads, from left to right.")],
+    registration: Annotated[
+        list[Path],
+        typer.Option(
+            "--registration",
+            help="File that `register-heads --beside` wrote of the first and the second head; again for the "
+            "second and the third, and so on.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the wide scans and their table.")] = Path(
+        "side_by_side"
+    ),
+) -> None:
+    """Join scans of heads side by side, and measure products in them; acquisitions are paired in order."""
+    from roemetry.errors import DataError, RoemetryError
+    from roemetry.io.files import write_whole
+    from roemetry_scan.formats import write
+    from roemetry_scan.formats.points import measured_of
+    from roemetry_scan.placing import BeltMotion
+    from roemetry_scan.side_by_side import joined, volume_of
+
+    if len(heads) < 2 or len(registration) != len(heads) - 1:
+        raise DataError(
+            f"{len(heads)} heads and {len(registration)} registrations: one for each two neighbours",
+            hint="name at least two recipes, and --registration once less",
+        )
+    known = [_registration(one, _BESIDE) for one in registration]
+    scans = [list(_traces(one)) for one in heads]
+    if len({len(one) for one in scans}) > 1:
+        told = ", ".join(f"{path} {len(one)}" for path, one in zip(heads, scans, strict=True))
+        raise DataError(
+            f"the heads have different numbers of acquisitions ({told}): each product once of each"
+        )
+    lines = [
+        "acquisition,product,visible volume (cm³),standard uncertainty (cm³),95 % from (cm³),to (cm³),"
+        "heads differ by (mm),reason"
+    ]
+    out.mkdir(parents=True, exist_ok=True)
+    for traces in zip(*scans, strict=True):
+        name = traces[0].acquisition_id
+        try:
+            missing = [reason for one in traces if one.profiles is None for reason in one.absent.values()]
+            profiles = [one.profiles for one in traces if one.profiles is not None]
+            if len(profiles) < len(traces):
+                raise DataError(missing[0].text if missing else "a head measured nothing")
+            wide = joined(profiles, known)
+            write(out / f"{name}.ply", measured_of(wide.profiles))
+            labelled = BeltMotion().label(wide.profiles)
+            differ = max(wide.level_mm, key=abs)
+            for number in range(1, int(labelled.product.max(initial=0)) + 1):
+                volume = volume_of(wide, labelled, number)
+                figures = (value / 1000.0 for value in (volume.value, volume.std, *volume.interval))
+                lines.append(
+                    f"{name},{number}," + ",".join(f"{value:.4f}" for value in figures) + f",{differ:.4f},"
+                )
+                typer.echo(
+                    f"{name}: product {number}, {volume.value / 1000:.2f} ± {volume.std / 1000:.2f} cm³, "
+                    f"heads differ by {differ:+.3f} mm"
+                )
+        except RoemetryError as error:
+            lines.append(f'{name},,,,,,,"{error.message}"')
+            typer.echo(f"{name}: no volume: {error.message}")
+    table = out / "side_by_side.csv"
+    write_whole(table, "\n".join(lines) + "\n")
+    typer.echo(str(table))
+
+
+def _registration(path: Path, kind: str) -> Registration:
+    import numpy as np
+
+    from roemetry.errors import CalibrationError
+    from roemetry.io.yaml_source import read_numbers
+    from roemetry_scan.closed import Registration
+
+    data = read_numbers(path)
+    try:
+        pose = np.array(data[kind], np.float64)
+        begun = data.get("first_counts")
+        if begun is not None:
+            first, second = begun
+            begun = float(first), float(second)
+        found = Registration(pose, float(data["rms_mm"]), int(data["balls"]), begun)
+        if pose.shape != (4, 4) or not np.isfinite(pose).all():
+            raise ValueError(f"{kind} is no 4 × 4 matrix of numbers")
+    except (KeyError, TypeError, ValueError) as error:
+        how = " --beside" if kind == _BESIDE else ""
+        raise CalibrationError(
+            f"{path}: no registration of two heads ({error})", hint=f"make one with register-heads{how}"
+        ) from error
+    return found
 
 
 def _traces(path: Path) -> Iterator[Trace]:

@@ -28,7 +28,7 @@ from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Surfac
 from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
 from roemetry_kernels.compiling import float_kernel
-from roemetry_scan.flanks import POINTS, conic, rims_of
+from roemetry_scan.flanks import POINTS, conic
 
 _UNIFORM = 1.0 / math.sqrt(12.0)
 _UP_TO = 1.0 / math.sqrt(3.0)
@@ -44,6 +44,8 @@ _EDGE_POINTS = 0.5
 """Points by which each edge of a slice may lie otherwise, uniform."""
 _BEYOND_STEPS = 2.0
 """An outermost point beyond which more is missing would have been followed by the assembler."""
+_TELLS_RIM = 3.0
+"""Slices so many points apart tell how high a product's rim lies better than the end of each slice does."""
 TO_RIM = 2.0 / 3.0
 """Of the last point's height over the rim, on the mean from there to it: a parabola's."""
 _SURFACE_SLICES, _SURFACE_POINTS = 160, 64
@@ -132,8 +134,10 @@ def sections_of(profiles: Profiles, number: int) -> Sections:
     if not gap.min() > 0.0:
         raise StageError("two slices lie at one place")
     xyz, on = profiles.xyz_mm[index], mine[index]
-    rims, _ = rims_of(profiles.xyz_mm, profiles.product, ~profiles.seen, int(profiles.product.max()))
-    table = _areas(xyz, on, profiles.seen[index], profiles.product[index], rims[number])
+    spacing = float(np.nanmedian(np.abs(np.diff(xyz[..., 1], axis=1))))
+    dense = number < profiles.rim_mm.size and float(np.median(gap)) <= _TELLS_RIM * spacing
+    rim = float(profiles.rim_mm[number]) if dense else math.nan
+    table = _areas(xyz, on, profiles.seen[index], profiles.product[index], rim)
     place = profiles.stripe[index]
     steps = np.maximum(np.abs(np.diff(place)), 1)
     held, own = np.zeros(index.size), np.zeros(index.size)
@@ -261,19 +265,21 @@ def _beyond(
     """Give how far a slice goes on beyond its outermost point, mm, and the mean height there, mm.
 
     A wall or a slope ends half a step farther out on the mean. A flank that bulges goes on as
-    the conic of its last points: a camera over the belt's middle looks past the rim of what it sees to the
-    side, and light that grazes loses the last of it.
+    the conic of its last points, to the rim: a camera over the belt's middle looks past the rim of what it
+    sees to the side, and light that grazes loses the last of it. Where the rim is known, points that were
+    followed from other slices are as good as seen ones: they lie no nearer to it.
     """
     beside = edge - inwards
     half = 0.5 * step
-    if not seen[edge]:
+    only_seen = math.isnan(rim)
+    if only_seen and not seen[edge]:
         return half, xyz[edge, 2]
     most = _BEYOND_STEPS * step
     if 0 <= beside < label.size and label[beside] == 0:
         most = abs(xyz[beside, 1] - xyz[edge, 1])
     d, z = np.empty(POINTS), np.empty(POINTS)
     count, k = 0, edge
-    while 0 <= k < seen.size and count < POINTS and mine[k] and seen[k]:
+    while 0 <= k < mine.size and count < POINTS and mine[k] and (seen[k] or not only_seen):
         d[count], z[count] = abs(xyz[k, 1] - xyz[edge, 1]), xyz[k, 2]
         count += 1
         k += inwards

@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from roemetry.records.arrays import Flags, Floats, Labels
-from roemetry_kernels.compiling import float_kernel
+from roemetry_kernels.compiling import float_kernel, inlined
 
 POINTS = 30
 """Points that tell how a flank goes on, at most."""
@@ -36,31 +36,37 @@ _RIM_STEPS, _RIM_STEPS_DIM = 1.4, 3.5
 """From a row's outermost point down to the rim, by its rise to the next one; and where a dim one was lost."""
 _RIM_GROUPS = 7
 """Of neighbouring rows, whose medians tell how sections end from side to side."""
+_SEEN_MIN, _REACH_MIN = 2, 0.6
+"""Points of a row that must be seen below the height at which it is lost behind; the least reach."""
 _POOLED = 3
 """Neighbours on either side whose mean stands for a point: noise of single ones bends the conic."""
 _FLAT = 1.02
 """The highest of them is so much higher than the last, or nothing bends."""
 
 
-def followed(xyz_mm: Floats, label: Labels, plane: Floats) -> tuple[Floats, Labels, Flags]:
-    """Give points and labels with the flanks that are not seen, and which points these are.
+def followed(xyz_mm: Floats, label: Labels, plane: Floats) -> tuple[Floats, Labels, Flags, Floats]:
+    """Give points and labels with the flanks that are not seen, which points these are, and rims.
 
     Parameters
     ----------
     xyz_mm, label, plane
         As in `Profiles`: over the belt, with belt and products told apart.
     """
-    rims, by_row = rims_of(xyz_mm, label, np.zeros(label.shape, np.bool_), int(label.max(initial=0)))
-    return followed_to(xyz_mm, label, plane, rims, by_row)
+    none, many = np.zeros(label.shape, np.bool_), int(label.max(initial=0))
+    rims, by_row = rims_of(xyz_mm, label, none, many)
+    points, number, added = followed_to(
+        xyz_mm, label, plane, rims, by_row, reach_of(xyz_mm, label, none, by_row)
+    )
+    return points, number, added, rims
 
 
 def followed_to(
-    xyz_mm: Floats, label: Labels, plane: Floats, rims: Floats, by_row: Floats
+    xyz_mm: Floats, label: Labels, plane: Floats, rims: Floats, by_row: Floats, reach: Floats
 ) -> tuple[Floats, Labels, Flags]:
-    """Do what `followed` does, to rims as `rims_of` gives them."""
+    """Do what `followed` does, to rims as `rims_of` gives them, and as far as `reach_of` says."""
     points, number = np.array(xyz_mm), np.array(label)
     added = np.zeros(number.shape, np.bool_)
-    _along_belt(points, number, added, plane, by_row)
+    _along_belt(points, number, added, plane, by_row, reach)
     _along_slices(points, number, added, plane, rims)
     _join(points, number, added, plane)
     return points, number, added
@@ -125,7 +131,7 @@ def conic(
 
 
 @float_kernel
-def _along_belt(xyz: Floats, label: Labels, added: Flags, plane: Floats, rims: Floats) -> None:
+def _along_belt(xyz: Floats, label: Labels, added: Flags, plane: Floats, rims: Floats, reach: Floats) -> None:
     """Follow each image row from slice to slice, both ways."""
     slices, points = label.shape
     for k in range(points):
@@ -134,7 +140,8 @@ def _along_belt(xyz: Floats, label: Labels, added: Flags, plane: Floats, rims: F
             while 0 <= i < slices:
                 ahead = i + way
                 if label[i, k] > 0 and 0 <= ahead < slices and label[ahead, k] < 0:
-                    i = _fill(xyz, label, added, plane, rims[label[i, k], k], i, k, way, 0)
+                    number = label[i, k]
+                    i = _fill(xyz, label, added, plane, rims[number, k], reach[number, k], i, k, way, 0)
                 else:
                     i = ahead
 
@@ -149,7 +156,7 @@ def _along_slices(xyz: Floats, label: Labels, added: Flags, plane: Floats, rims:
             while 0 <= k < points:
                 ahead = k + way
                 if label[i, k] > 0 and 0 <= ahead < points and label[i, ahead] < 0:
-                    k = _fill(xyz, label, added, plane, rims[label[i, k]], i, k, 0, way)
+                    k = _fill(xyz, label, added, plane, rims[label[i, k]], 1.0, i, k, 0, way)
                 else:
                     k = ahead
 
@@ -196,13 +203,105 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> tuple[Fl
         if many < _RIM_ROWS_MIN:
             continue
         rims[number] = max(np.median(found[number, many // 4 : many - many // 4]), 0.0)
-        groups = min(_RIM_GROUPS, many // _RIM_ROWS_MIN)
-        row, height = np.empty(groups), np.empty(groups)
-        for g in range(groups):
-            part = slice(g * many // groups, (g + 1) * many // groups)
-            row[g], height[g] = np.mean(at[number, part]), max(np.median(found[number, part]), 0.0)
-        by_row[number] = np.interp(np.arange(points), row, height)
+        by_row[number] = np.maximum(_by_groups(at[number], found[number], many, points), 0.0)
     return rims, by_row
+
+
+@float_kernel
+def reach_of(xyz: Floats, label: Labels, added: Flags, by_row: Floats) -> Floats:
+    """Give (product + 1, row) how far flanks reach, in lengths of their conics, by the side that is seen.
+
+    Behind a product, each row is lost at some height. On the side towards the camera the same row is seen
+    down to the rim: a conic through what lies above that height there, compared with where the row truly
+    ends, says how far this product's sections are from conics: foods that bulge more fall off sooner. 1 where
+    too few rows tell, and at most: what ends in a point on the one side hardly does so on the other.
+    """
+    slices, points = label.shape
+    products = by_row.shape[0] - 1
+    told, at, count = (
+        np.empty((products + 1, points)),
+        np.empty((products + 1, points)),
+        np.zeros(products + 1, np.int64),
+    )
+    d, z = np.empty(POINTS), np.empty(POINTS)
+    for k in range(points):
+        for number in range(1, products + 1):
+            first, last = -1, -1
+            for i in range(slices):
+                if label[i, k] == number and not added[i, k]:
+                    first, last = i if first < 0 else first, i
+            if first < 1 or last >= slices - 1 or math.isnan(by_row[number, k]):
+                continue
+            lost_before, lost_behind = label[first - 1, k] < 0, label[last + 1, k] < 0
+            if lost_before == lost_behind:
+                continue
+            way, edge, lost = (1, first, last) if lost_behind else (-1, last, first)
+            if label[edge - way, k] != 0:
+                continue
+            i = edge
+            while i != lost and label[i, k] == number and xyz[i, k, 2] < xyz[lost, k, 2]:
+                i += way
+            if label[i, k] != number or abs(i - edge) < _SEEN_MIN:
+                continue
+            many = _last_points(xyz, label, added, i, k, -way, 0, d, z)
+            rim = by_row[number, k]
+            length = conic(d, z, many, 10.0 * xyz[i, k, 2], rim)[4]
+            above, next_above = xyz[edge, k, 2] - rim, xyz[edge + way, k, 2] - rim
+            beyond = 0.0  # from the outermost point to the rim heights grow as a root does
+            if next_above > above > 0.0:
+                step = abs(xyz[edge + way, k, 0] - xyz[edge, k, 0])
+                beyond = min(step * above * above / (next_above * next_above - above * above), step)
+            if length > 0.0:
+                told[number, count[number]] = (abs(xyz[i, k, 0] - xyz[edge, k, 0]) + beyond) / length
+                at[number, count[number]] = k
+                count[number] += 1
+    reach = np.ones((products + 1, points))
+    for number in range(1, products + 1):
+        if count[number] >= _RIM_ROWS_MIN:
+            reach[number] = _by_groups(at[number], told[number], count[number], points)
+            for k in range(points):
+                reach[number, k] = min(max(reach[number, k], _REACH_MIN), 1.0)
+    return reach
+
+
+@float_kernel
+def _by_groups(at: Floats, values: Floats, many: int, points: int) -> Floats:
+    """Give (row,) the medians of neighbouring rows' values, straight between the middles of their groups."""
+    groups = min(_RIM_GROUPS, many // _RIM_ROWS_MIN)
+    row, median = np.empty(groups), np.empty(groups)
+    for g in range(groups):
+        part = slice(g * many // groups, (g + 1) * many // groups)
+        row[g], median[g] = np.mean(at[part]), np.median(values[part])
+    return np.interp(np.arange(points), row, median)
+
+
+@inlined
+def _on_conic(away: float, length: float, reach: float) -> float:
+    """Give where on its conic a flank that reaches another length is at a place: alike at its beginning."""
+    less = 1.0 - reach
+    if abs(less) < 1e-9 or away >= reach * length:
+        return away
+    return length * (1.0 - math.sqrt(max(1.0 - 4.0 * less * away / length, 0.0))) / (2.0 * less)
+
+
+@float_kernel
+def _last_points(
+    xyz: Floats, label: Labels, added: Flags, i: int, k: int, way_i: int, way_k: int, d: Floats, z: Floats
+) -> int:  # fmt: skip
+    """Take the points that tell how a flank goes on: how far in they lie, and how high; their number."""
+    slices, points = label.shape
+    number, axis = label[i, k], 0 if way_i != 0 else 1
+    count, m, n = 0, i, k
+    while 0 <= m < slices and 0 <= n < points and label[m, n] == number and count < POINTS:
+        if not added[m, n]:
+            d[count] = abs(xyz[m, n, axis] - xyz[i, k, axis])
+            if count >= _POINTS_MIN and d[count] > _REACH * xyz[i, k, 2]:
+                break
+            z[count] = _pooled(xyz, label, added, m, n, axis)
+            count += 1
+        m -= way_i
+        n -= way_k
+    return count
 
 
 @float_kernel
@@ -250,6 +349,7 @@ def _fill(
     added: Flags,
     plane: Floats,
     rim: float,
+    reach: float,
     i: int,
     k: int,
     way_i: int,
@@ -259,16 +359,7 @@ def _fill(
     slices, points = label.shape
     number, axis = label[i, k], 0 if way_i != 0 else 1
     d, z = np.empty(POINTS), np.empty(POINTS)
-    count, m, n = 0, i, k
-    while 0 <= m < slices and 0 <= n < points and label[m, n] == number and count < POINTS:
-        if not added[m, n]:
-            d[count] = abs(xyz[m, n, axis] - xyz[i, k, axis])
-            if count >= _POINTS_MIN and d[count] > _REACH * xyz[i, k, 2]:
-                break
-            z[count] = _pooled(xyz, label, added, m, n, axis)
-            count += 1
-        m -= way_i
-        n -= way_k
+    count = _last_points(xyz, label, added, i, k, way_i, way_k, d, z)
     far_i, far_k = i + way_i, k + way_k
     while 0 <= far_i < slices and 0 <= far_k < points and label[far_i, far_k] < 0:
         far_i += way_i
@@ -304,8 +395,9 @@ def _fill(
             else:
                 x = (plane[m, 3] - plane[m, 1] * y - plane[m, 2] * height) / plane[m, 0]
                 away = abs(y - y0)
-            height = r + math.sqrt(max(a + b * away + c * away * away, 0.0))
-        if away < length and height > 0.0:
+            at = _on_conic(away, length, reach)
+            height = r + math.sqrt(max(a + b * at + c * at * at, 0.0))
+        if away < reach * length and height > 0.0:
             xyz[m, n, 0], xyz[m, n, 1], xyz[m, n, 2] = x, y, height
             label[m, n], added[m, n] = number, True
         m += way_i

@@ -175,7 +175,7 @@ class BeltMotion(Assembler[BeltOptions]):
         height = np.where(known, profiles.xyz_mm[..., 2], np.nan)
         if self.options.belt == "fit":
             noise = 1.4826 * float(np.median(np.abs(height[np.abs(height) < _NEAR_MM])))
-        steps = (_usual(profiles.xyz_mm, 0), _usual(profiles.xyz_mm, 1))
+        steps = (usual_step(profiles.xyz_mm, 0), usual_step(profiles.xyz_mm, 1))
         number = products_on(height, steps, noise, self.options)
         number[_strayed(profiles.height_std_mm, number == 0)] = -1
         if own is not None:
@@ -207,8 +207,8 @@ def motion_of(calibration: Calibration) -> Motion:
 
 def _with_flanks(profiles: Profiles) -> Profiles:
     """Add what is not seen of products' flanks, and say what is not seen beside them."""
-    xyz_mm, label, added = followed(profiles.xyz_mm, profiles.product, profiles.plane)
-    found = replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added)
+    xyz_mm, label, added, rims = followed(profiles.xyz_mm, profiles.product, profiles.plane)
+    found = replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added, rim_mm=rims)
     return replace(found, beside_mm3=beside_mm3(found))
 
 
@@ -256,7 +256,7 @@ def _some(xyz_mm: Floats, chosen: Flags) -> Floats:
     return some
 
 
-def _usual(xyz_mm: Floats, axis: int) -> float:
+def usual_step(xyz_mm: Floats, axis: int) -> float:
     """Give the usual distance of neighbours along slices' order (0) or along a slice (1), mm."""
     some = xyz_mm[:, :: max(1, xyz_mm.shape[1] // 64)] if axis == 0 else xyz_mm[:: max(1, len(xyz_mm) // 64)]
     steps = np.sqrt((np.diff(some[..., :2], axis=axis) ** 2).sum(axis=2))

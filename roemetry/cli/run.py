@@ -111,7 +111,8 @@ def run(
                 hint=f"go on with --out {folder} --resume",
             ) from stop
     if as_json:
-        typer.echo(json.dumps(_described(outcome), indent=2))
+        for text in _written(outcome):
+            typer.echo(text, nl=False)
     else:
         _show(loaded, outcome)
         if profile:
@@ -156,10 +157,11 @@ def _stopped_by_signals() -> Iterator[Callable[[], None]]:
             signal.signal(number, handler)
 
 
-def _described(outcome: Outcome) -> dict[str, object]:
+def _written(outcome: Outcome) -> Iterator[str]:
+    """Give an outcome as JSON, row by row: thousands of rows, slices and all, are not held at once."""
     from roemetry.run.record import read_record
 
-    return {
+    told: dict[str, object] = {
         "folder": str(outcome.folder),
         "record": str(outcome.record),
         "counts": dict(outcome.counts),
@@ -167,8 +169,14 @@ def _described(outcome: Outcome) -> dict[str, object]:
         "faults": list(outcome.sink_faults),
         "warnings": list(outcome.warnings),
         "drift": None if outcome.drift is None else outcome.drift.text,
-        "measurements": [json.loads(row.to_json()) for row in read_record(outcome.folder)],
     }
+    yield json.dumps(told, indent=2).removesuffix("\n}") + ',\n  "measurements": ['
+    before = "\n"
+    for row in read_record(outcome.folder):
+        text = json.dumps(json.loads(row.to_json()), indent=2)
+        yield before + "\n".join(f"    {line}" for line in text.splitlines())
+        before = ",\n"
+    yield ("]" if before == "\n" else "\n  ]") + "\n}\n"
 
 
 def _show(recipe: Recipe, outcome: Outcome) -> None:

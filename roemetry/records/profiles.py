@@ -38,6 +38,9 @@ class Profiles(Shown):
     reasons: tuple[Reason, ...] = ()
     scan: ScanFigures | None = None
     """What placing the lines came to, where the slices are lines of a scan."""
+    rim_mm: Floats = field(default_factory=lambda: np.empty(0))
+    """(product + 1,) height, by the product's number, at which flanks end that bulge over the belt; NaN where
+    it is not known. Empty: nobody has looked for it."""
 
     beside_mm3: Floats = field(default_factory=lambda: np.empty(0))
     """(product + 1,) by the product's number, how much larger it is if what is not seen between its slices'
@@ -54,6 +57,7 @@ class Profiles(Shown):
         for name in ("stripe", "frame"):
             check.array(name, np.int64, (slices,))
         check.array("beside_mm3", np.float64, (None,))
+        check.array("rim_mm", np.float64, (None,))
         plane = check.array("plane", np.float64, (slices, 4))
         if plane.shape == (slices, 4) and slices:
             length = np.sqrt((plane[:, :3] ** 2).sum(axis=1))

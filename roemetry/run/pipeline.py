@@ -41,7 +41,7 @@ from roemetry.run.scan import Placing, cut_by_scan, gather, measured_by_another,
 from roemetry.run.stage_errors import describe_failure, is_refusal, plugin_frame
 from roemetry.run.time_limit import StageTimeout, time_limit, timer_kept
 from roemetry.run.transport_faults import check_joins
-from roemetry.stages.kinds import check_result_type
+from roemetry.stages.kinds import Extractor, check_result_type
 
 T = TypeVar("T")
 
@@ -85,10 +85,10 @@ class Pipeline:
     ) -> None:
         keep_freed_memory()
         self.recipe = recipe
-        self._frame = frame or partial(frame_of, recipe)
         self._stages: Mapping[str, Any] = (
             {kind: chosen.make() for kind, chosen in recipe.stages.items()} if stages is None else stages
         )
+        self._frame = frame or partial(frame_of, recipe, extractor=self._stages.get("extractor"))
         self._debug = debug
         self._view: View | None = None
         self._draws = recipe.draws if draws is None else draws
@@ -320,8 +320,11 @@ class Pipeline:
         return replace(found, decision=decision, absent={**found.absent, **steps.absent})
 
 
-def frame_of(recipe: Recipe, acquisition: Acquisition) -> Frame:
-    """Make the laser frame ready as the recipe's source says; see `roemetry.run.preprocess.prepare`."""
+def frame_of(recipe: Recipe, acquisition: Acquisition, *, extractor: Any = None) -> Frame:
+    """Make the laser frame ready as the recipe's source says; see `roemetry.run.preprocess.prepare`.
+
+    An extractor may count steps of the grey level, sooner than the core does.
+    """
     source = recipe.source_choice
     frame = prepare(
         acquisition,
@@ -333,7 +336,11 @@ def frame_of(recipe: Recipe, acquisition: Acquisition) -> Frame:
         sensor=recipe.sensor,
     )
     # a contrast ends at once where the light is clipped: what the lens drew is in the grey image
-    check_joins(frame if source.contrast == "none" else prepare(acquisition, turn_deg=0, subtract="none"))
+    checked = frame if source.contrast == "none" else prepare(acquisition, turn_deg=0, subtract="none")
+    if isinstance(extractor, Extractor):
+        check_joins(checked, extractor.count_steps)
+    else:
+        check_joins(checked)
     return frame
 
 

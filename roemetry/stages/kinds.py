@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar, get_args, get_origin
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, model_validator
 
 from roemetry.errors import CalibrationError, MisfitError, StageError
@@ -49,6 +50,7 @@ from roemetry.records import (
     Volume,
     Weight,
 )
+from roemetry.records.arrays import Integers
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.live import LineControl, LineRow, LiveFrame
 from roemetry.records.view import View
@@ -159,6 +161,26 @@ class Extractor(Stage[OptionsT]):
         """Give the empty rows that keep frames of one scan apart when it is given several as one tall image.
 
         None: it takes one frame at a time. 0: each row is measured by itself.
+        """
+        return None
+
+    def count_steps(self, pixels: NDArray[Any], least: int) -> tuple[Integers, Integers, Integers] | None:
+        """Count where the grey level changes by more than `least` in one pixel, for the check of joins.
+
+        Parameters
+        ----------
+        pixels
+            (row, column) of one channel.
+        least
+            Grey levels.
+
+        Returns
+        -------
+        tuple or None
+            (rows − 1,) steps at each boundary between two rows; (columns − 1,) the same between columns; and
+            (columns − 1,) those of the latter at which the pixels before and after differ by no more than one
+            and a half steps, of all boundaries but the first and the last. None: the core counts, with whole
+            arrays in several times the time.
         """
         return None
 

@@ -152,6 +152,31 @@ def check_a_colour_frame_is_refused(extractor: Extractor[Any]) -> None:
         extractor.extract(Frame(np.zeros((20, 30, 3), np.uint8)))
 
 
+def check_steps_are_counted_right(extractor: Extractor[Any]) -> None:
+    """Where an extractor counts steps of the grey level for the core, it counts what whole arrays give."""
+    rig = LinearRig()
+    pixels = frame_of(rig.light(rig.x_px(rig.dome())), noise=2.0).pixels
+    light, least = pixels.astype(np.int64), 20
+    found = extractor.count_steps(pixels, least)
+    if found is None:
+        return
+    step = np.abs(np.diff(light, axis=1))
+    far, near = np.abs(light[:, 3:] - light[:, :-3]), step[:, 1:-1]
+    wanted = (
+        (np.abs(np.diff(light, axis=0)) > least).sum(axis=1),
+        (step > least).sum(axis=0),
+        ((near > least) & (np.maximum(far - near, 0) <= near // 2)).sum(axis=0),
+    )
+    by_row, by_column, breaks = found
+    for what, counted, right in zip(
+        ("between rows", "between columns", "that break off"),
+        (by_row, by_column, breaks[1:-1]),
+        wanted,
+        strict=True,
+    ):
+        require(np.array_equal(counted, right), f"steps {what} are counted wrong")
+
+
 def check_the_smallest_frames_are_taken(extractor: Extractor[Any]) -> None:
     """A frame of one pixel, one row or one column gives no peak or a `RoemetryError`."""
     for shape in ((1, 1), (1, 40), (40, 1), (2, 2), (3, 3)):
