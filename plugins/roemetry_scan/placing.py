@@ -50,6 +50,8 @@ _BELT_SAMPLE = 5_000
 """The same where a tenth of a millimetre will do."""
 _UNIFORM = 1.0 / math.sqrt(3.0)
 """Of the greatest error: it may be any up to that, either way."""
+_OBLIQUE = 2.0
+"""Of the way between two lines, that an edge moves along them: edges at 27° and more to the belt's way."""
 _TORN_MAX = 0.02
 """Share of lines: a fault of transport that is seen in more of them hits others where it is not seen."""
 _OFF_TOLD = 0.002
@@ -88,7 +90,8 @@ class BeltMotion(Assembler[BeltOptions]):
         table = points_of_rows(calibration, triangulator)
         x_px, x_std_px = stripes.x_px[at], stripes.x_std_px[at]
         xyz_mm, height_std_mm = placed(x_px, x_std_px, table, middle, shift)
-        whole = ~torn_lines(xyz_mm[..., 2])
+        oblique = math.ceil(_OBLIQUE * usual_step(xyz_mm, 0) / usual_step(xyz_mm, 1))
+        whole = ~torn_lines(xyz_mm[..., 2], oblique)
         if not whole.all():
             _refuse_torn(whole)
             line, shift, at = line[whole], shift[whole], line[whole] * per_line + first

@@ -1,14 +1,16 @@
 """Lines of a scan of which a part lies beside the lines before and after it.
 
 Model. Lines follow each other far more closely than a product's shape changes: along the belt heights rise,
-fall, and step, but they do not jump for a line or two and come back. So each point is compared with those of
-the lines before and after it, and each two with those before and after both. What lies above both, or below
-both, by more than noise, and by more than half of what these differ by, belongs to another moment: a part of
-the frame was another one's, or rows of it were lost. Single points may be glare or noise, so that it takes a
-run of neighbours. Such a line is not used; the lines beside it bridge the gap.
+fall, and step, but they do not jump for a line or two and come back. So each point is compared with the lines
+before and after it, and each two with those before and after both: with their heights there and in the rows
+beside, as far as an oblique edge moves from line to line, and with where the two lines on either side lead
+to, as at a ridge. What lies above all of that, or below all of it, by more than noise, and by more than half
+of what the lines before and after differ by, belongs to another moment: a part of the frame was another
+one's, or rows of it were lost. Single points may be glare or noise, so that it takes a run of neighbours.
+Such a line is not used; the lines beside it bridge the gap.
 
-It fails for three wrong lines in a row, which are a step there and a step back, and for ridges across the
-belt that are only a line or two wide.
+It fails for three wrong lines in a row, which are a step there and a step back, and for walls across the belt
+that are only a line or two thick.
 """
 
 from __future__ import annotations
@@ -31,8 +33,11 @@ _SAMPLED = 64
 """Rows that tell the usual scatter."""
 
 
-def torn_lines(height_mm: Floats) -> Flags:
-    """Say which lines (line,) of heights (line, row) are torn; NaN is not seen."""
+def torn_lines(height_mm: Floats, oblique_rows: int) -> Flags:
+    """Say which lines (line,) of heights (line, row) are torn; NaN is not seen.
+
+    `oblique_rows` is how far an edge may move along its line to the next one.
+    """
     lines, rows = height_mm.shape
     found = np.zeros(lines, np.bool_)
     some = height_mm[:, :: max(1, rows // _SAMPLED)]
@@ -42,31 +47,44 @@ def torn_lines(height_mm: Floats) -> Flags:
         return found
     # of independent errors σ a bend has √6·σ, a step between two lines √2·σ
     limit_mm = max(_LEAST_MM, _SIGMAS * 1.4826 * float(np.median(known)) / np.sqrt(3.0))
-    for first in range(1, lines - 1, _AT_ONCE):
-        last = min(first + _AT_ONCE, lines - 1)
-        here, before, after = (height_mm[first + k : last + k] for k in (0, -1, 1))
-        steps = (np.abs(here - before) > limit_mm).sum(axis=1)
-        if (steps < _RUN).all():
-            continue
-        found[first:last] |= _in_runs(_beside(here, before, after, limit_mm))
-        last = min(last, lines - 2)
-        here, before, after, beyond = (height_mm[first + k : last + k] for k in (0, -1, 1, 2))
-        both = _in_runs(_beside(here, before, beyond, limit_mm) & _beside(after, before, beyond, limit_mm))
-        found[first:last] |= both
-        found[first + 1 : last + 1] |= both
+    for first in range(2, lines - 2, _AT_ONCE):
+        steps = np.abs(np.diff(height_mm[first - 1 : first + _AT_ONCE], axis=0)) > limit_mm
+        jumping = first + np.flatnonzero(steps.sum(axis=1) >= _RUN)
+        for line in jumping[jumping < lines - 2].tolist():
+            here = height_mm[line : line + 2]
+            for count in (1, 2)[: lines - 2 - line]:
+                around = [height_mm[k] for k in (line - 2, line - 1, line + count, line + count + 1)]
+                if _beside(here[:count], around, limit_mm, oblique_rows):
+                    found[line : line + count] = True
     return found
 
 
-def _beside(here: Floats, before: Floats, after: Floats, limit_mm: float) -> Flags:
-    """Say which points lie above or below both others, by more than the limit and part of their step."""
-    low, high = np.minimum(before, after), np.maximum(before, after)
-    over = np.maximum(low - here, here - high)
-    return np.asarray((over > limit_mm) & (over > _OF_STEP * (high - low)))
+def _beside(here: Floats, around: list[Floats], limit_mm: float, oblique_rows: int) -> bool:
+    """Say whether all of some lines (line, row) lie in a run beside the two before and the two after them."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    _, before, after, _ = around
+    step = np.abs(after - before)
+    beside = np.isfinite(step)
+    for line in here:
+        over = np.maximum(np.minimum(before, after) - line, line - np.maximum(before, after))
+        beside &= (over > limit_mm) & (over > _OF_STEP * step)
+    if not _has_run(beside):
+        return False
+    wide = 2 * oblique_rows + 1
+    low = minimum_filter1d(np.fmin.reduce([np.nan_to_num(one, nan=np.inf) for one in (before, after)]), wide)
+    high = maximum_filter1d(
+        np.fmax.reduce([np.nan_to_num(one, nan=-np.inf) for one in (before, after)]), wide
+    )
+    led_to = 2.0 * before - around[0], 2.0 * after - around[3]
+    for line in here:
+        beside &= (line < low - limit_mm) | (line > high + limit_mm)
+        for one in led_to:
+            beside &= ~(np.abs(line - one) < limit_mm)
+    return _has_run(beside)
 
 
-def _in_runs(beside: Flags) -> Flags:
-    """Say which lines have a run of points beside."""
-    together = beside[:, : beside.shape[1] - _RUN + 1].copy()
-    for k in range(1, _RUN):
-        together &= beside[:, k : beside.shape[1] - _RUN + 1 + k]
-    return np.asarray(together.any(axis=1))
+def _has_run(beside: Flags) -> bool:
+    """Say whether so many neighbours are."""
+    count = np.convolve(beside, np.ones(_RUN, np.int64), "valid")
+    return bool((count == _RUN).any())
