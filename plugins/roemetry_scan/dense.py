@@ -44,8 +44,6 @@ _EDGE_POINTS = 0.5
 """Points by which each edge of a slice may lie otherwise, uniform."""
 _BEYOND_STEPS = 2.0
 """An outermost point beyond which more is missing would have been followed by the assembler."""
-_TELLS_RIM = 3.0
-"""Slices so many points apart tell how high a product's rim lies better than the end of each slice does."""
 TO_RIM = 2.0 / 3.0
 """Of the last point's height over the rim, on the mean from there to it: a parabola's."""
 _SURFACE_SLICES, _SURFACE_POINTS = 160, 64
@@ -134,9 +132,7 @@ def sections_of(profiles: Profiles, number: int) -> Sections:
     if not gap.min() > 0.0:
         raise StageError("two slices lie at one place")
     xyz, on = profiles.xyz_mm[index], mine[index]
-    spacing = float(np.nanmedian(np.abs(np.diff(xyz[..., 1], axis=1))))
-    dense = number < profiles.rim_mm.size and float(np.median(gap)) <= _TELLS_RIM * spacing
-    rim = float(profiles.rim_mm[number]) if dense else math.nan
+    rim = float(profiles.rim_mm[number]) if number < profiles.rim_mm.size else math.nan
     table = _areas(xyz, on, profiles.seen[index], profiles.product[index], rim)
     place = profiles.stripe[index]
     steps = np.maximum(np.abs(np.diff(place)), 1)

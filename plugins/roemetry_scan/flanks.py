@@ -36,6 +36,9 @@ _RIM_STEPS, _RIM_STEPS_DIM = 1.4, 3.5
 """From a row's outermost point down to the rim, by its rise to the next one; and where a dim one was lost."""
 _RIM_GROUPS = 7
 """Of neighbouring rows, whose medians tell how sections end from side to side."""
+_DENSE = 3.0
+"""Slices so many points apart tell rim and reach better than the end of each slice does. With lines 1.2 mm
+apart eggs were 0.4 % too small by them (seed 31000)."""
 _SEEN_MIN, _REACH_MIN = 2, 0.6
 """Points of a row that must be seen below the height at which it is lost behind; the least reach."""
 _POOLED = 3
@@ -47,6 +50,8 @@ _FLAT = 1.02
 def followed(xyz_mm: Floats, label: Labels, plane: Floats) -> tuple[Floats, Labels, Flags, Floats]:
     """Give points and labels with the flanks that are not seen, which points these are, and rims.
 
+    Rims as `Profiles.rim_mm`: NaN where slices lie too far apart to tell.
+
     Parameters
     ----------
     xyz_mm, label, plane
@@ -54,10 +59,18 @@ def followed(xyz_mm: Floats, label: Labels, plane: Floats) -> tuple[Floats, Labe
     """
     none, many = np.zeros(label.shape, np.bool_), int(label.max(initial=0))
     rims, by_row = rims_of(xyz_mm, label, none, many)
-    points, number, added = followed_to(
-        xyz_mm, label, plane, rims, by_row, reach_of(xyz_mm, label, none, by_row)
-    )
-    return points, number, added, rims
+    dense = usual_step(xyz_mm, 0) <= _DENSE * usual_step(xyz_mm, 1)
+    reach = reach_of(xyz_mm, label, none, by_row) if dense else np.ones(by_row.shape)
+    points, number, added = followed_to(xyz_mm, label, plane, rims, by_row, reach)
+    return points, number, added, rims if dense else np.full(rims.shape, np.nan)
+
+
+def usual_step(xyz_mm: Floats, axis: int) -> float:
+    """Give the usual distance of neighbours along slices' order (0) or along a slice (1), mm."""
+    some = xyz_mm[:, :: max(1, xyz_mm.shape[1] // 64)] if axis == 0 else xyz_mm[:: max(1, len(xyz_mm) // 64)]
+    steps = np.sqrt((np.diff(some[..., :2], axis=axis) ** 2).sum(axis=2))
+    steps = steps[np.isfinite(steps) & (steps > 0.0)]
+    return float(np.median(steps)) if steps.size else 1.0
 
 
 def followed_to(

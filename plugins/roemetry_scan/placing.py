@@ -35,7 +35,7 @@ from roemetry.records.scan import Motion
 from roemetry.stages import Assembler, StageOptions, Triangulator
 from roemetry_scan.belt import BeltOptions, fitted_plane, frame_on, plane_of_belt, products_on
 from roemetry_scan.counting import counted
-from roemetry_scan.flanks import followed
+from roemetry_scan.flanks import followed, usual_step
 from roemetry_scan.motion import measured_motion
 from roemetry_scan.rows import RowTable, placed, points_of_rows
 from roemetry_scan.slip import slip_of
@@ -257,14 +257,6 @@ def _some(xyz_mm: Floats, chosen: Flags) -> Floats:
     index = np.flatnonzero(chosen)
     some: Floats = xyz_mm.reshape(-1, 3)[index[:: max(1, index.size // _BELT_POINTS)]]
     return some
-
-
-def usual_step(xyz_mm: Floats, axis: int) -> float:
-    """Give the usual distance of neighbours along slices' order (0) or along a slice (1), mm."""
-    some = xyz_mm[:, :: max(1, xyz_mm.shape[1] // 64)] if axis == 0 else xyz_mm[:: max(1, len(xyz_mm) // 64)]
-    steps = np.sqrt((np.diff(some[..., :2], axis=axis) ** 2).sum(axis=2))
-    steps = steps[np.isfinite(steps) & (steps > 0.0)]
-    return float(np.median(steps)) if steps.size else 1.0
 
 
 def _strayed(std_mm: Floats, belt: Flags) -> Flags:

@@ -26,8 +26,8 @@ from roemetry.records import Estimate, Profiles, ScanFigures
 from roemetry.records.arrays import Floats, Integers
 from roemetry_scan.closed import OFF_MAX_MM, Registration, begun_later, laid_on
 from roemetry_scan.dense import budget_of, estimate_of, sections_of
+from roemetry_scan.flanks import usual_step
 from roemetry_scan.formats.points import Measured, profiles_of
-from roemetry_scan.placing import usual_step
 
 _BALLS_MIN = 3
 _LEVER_MIN_MM = 3.0
