@@ -50,7 +50,7 @@ so few tell the integral to 0.05 %)."""
 _RIMS = 12
 """Rim heights that are tried, from the belt upwards."""
 _RIM_BELOW = 0.1
-"""Share of the points that may lie below the highest rim tried: what is seen from above lies above the rim."""
+"""Share of the points that may lie below the highest rim tried: what is seen lies above the rim."""
 _ALIKE = 15.0
 """Points that count as one where rims are weighed: a body is not quite the process, and errs alike around."""
 _WEIGHT_MIN = 1e-3
