@@ -30,6 +30,7 @@ PAGE = Path("docs/measurements/patterns.md")
 FAMILIES = ("herring-roe", "potato", "egg", "fillet")
 PATTERNS = ("15 lines", "15 lines, dot-surface", "grid 15 × 11", "400 dots")
 _LINES_LIGHT = "simulator.options.laser.peak_e_per_ms=1580"
+_LINES_ALONE = "pattern={kind: lines, lines_x: 15, spacing_x_mm: 8}"
 """15 lines 150 mm long, and 11 of 200 mm, in the view: without the latter twice the light for each."""
 NEAR_PX = 2.0
 """A peak nearer than this to a true line, or dot, is that one."""
@@ -86,7 +87,7 @@ def item_of(pattern: str, family: str, seed: int, number: int, folder: Path) -> 
     elif pattern == PATTERNS[2]:
         found = one("grid", GRID, "laser")
     else:
-        found = one("lines", GRID, "laser", _LINES_LIGHT, "simulator.options.laser.grid=null")
+        found = one("lines", GRID, "laser", _LINES_LIGHT, _LINES_ALONE)
     return replace(found, frames=(*found.frames, *one("plain", DOTS, "plain").frames))
 
 

@@ -36,6 +36,11 @@ _POINTS_MIN = 8
 """Six numbers of the quadratic are fitted."""
 _UNSURE = 6.0
 """Of the median uncertainty, that a point's may be: dots that an edge has cut lie beside the surface."""
+_AROUND = 8
+"""Points around one, by which false ones are told."""
+_OFF_MAX, _OFF_LEAST_MM = 9.0, 4.0
+"""Of the median distance from theirs, that a point may lie off, and what it may at least: flanks rise by more
+from point to point than tops do."""
 _SLICES_MIN = 3
 """Lines that show something of the product: a cross hair has two."""
 _RIM_POINTS = 60
@@ -43,14 +48,13 @@ _NODES = 40, 12
 """Lines over the footprint, nodes on each (Gauss in the angle whose sine is the place: of upright ends, too,
 so few tell the integral to 0.05 %)."""
 _RIMS = 12
-"""Rim heights that are tried, from the belt to the median of the points."""
+"""Rim heights that are tried, from the belt upwards."""
+_RIM_BELOW = 0.1
+"""Share of the points that may lie below the highest rim tried: what is seen lies above the rim."""
 _ALIKE = 15.0
 """Points that count as one where rims are weighed: a body is not quite the process, and errs alike around."""
 _WEIGHT_MIN = 1e-3
 """Of the likeliest rim's, from which on a rim counts."""
-_RIM_HIGH, _RIM_HIGH_STD = 0.55, 0.03
-"""Of the top, from which on a rim's height is less likely, and how fast: what rests on a belt is seldom
-widest above its middle. A block is, and its points say so by far more."""
 _REACHES = (0.35, 0.7)
 """Of the root of the footprint's area, that the process can reach."""
 _SIZES = (1.0, 3.0)
@@ -170,7 +174,7 @@ class _Scene:
         """Rim heights to be tried, mm."""
         if not self.outlined:
             return np.zeros(1)
-        return np.linspace(0.0, float(np.median(self.xyz_mm[:, 2])), _RIMS)
+        return np.linspace(0.0, float(np.quantile(self.xyz_mm[:, 2], _RIM_BELOW)), _RIMS)
 
     def contour(self, rim_mm: float) -> Floats:
         """Give (contour, 2) the border where the outline is seen at the rim's height."""
@@ -246,6 +250,8 @@ def _scene_of(product: Product) -> _Scene:
     std = np.nan_to_num(std, nan=_FLAT_STD_MM)
     sure = std <= _UNSURE * max(float(np.median(std)), _FLAT_STD_MM)
     xyz, std = _pooled(xyz[sure], std[sure], place[sure])
+    near = _beside_neighbours(xyz)
+    xyz, std = xyz[near], std[near]
     # the order of slices shall not matter, nor which of many points are left out
     order = np.lexsort(xyz.T)
     order = order[np.unique(np.linspace(0, len(xyz) - 1, min(len(xyz), _POINTS_MAX)).astype(np.int64))]
@@ -266,6 +272,17 @@ def _scene_of(product: Product) -> _Scene:
     larger = view.at_height(contour + _outwards(contour), 0.0)[:, :2] - view.at_height(contour, 0.0)[:, :2]
     std_px = outline.xy_std_px if math.isfinite(outline.xy_std_px) else _OUTLINE_STD_PX
     return _Scene(xyz, std, start, way, True, std_px, larger)
+
+
+def _beside_neighbours(xyz_mm: Floats) -> Flags:
+    """Say which points lie near the median height of those around them: false light lies centimetres off."""
+    from scipy.spatial import cKDTree
+
+    if len(xyz_mm) < 2 * _AROUND:
+        return np.ones(len(xyz_mm), np.bool_)
+    around = cKDTree(xyz_mm[:, :2]).query(xyz_mm[:, :2], _AROUND + 1)[1][:, 1:]
+    off = np.abs(xyz_mm[:, 2] - np.median(xyz_mm[around, 2], axis=1))
+    return np.asarray(off <= max(_OFF_MAX * float(np.median(off)), _OFF_LEAST_MM))
 
 
 def _pooled(xyz_mm: Floats, std_mm: Floats, place: Integers) -> tuple[Floats, Floats]:
@@ -403,14 +420,12 @@ def _likeliest(scene: _Scene) -> tuple[_Kriged, float]:
     The rim is found first, among every second height and those beside the best, then reach and size.
     """
     rims = scene.rims()
-    top_mm = float(scene.xyz_mm[:, 2].max())
     tried: dict[int, _Kriged] = {}
 
     def likelihood(at: int) -> float:
         if at not in tried:
             tried[at] = _krige(scene, float(rims[at]))
-        high = max(float(rims[at]) / top_mm - _RIM_HIGH, 0.0) / _RIM_HIGH_STD
-        return tried[at].log_likelihood - 0.5 * _ALIKE * high**2
+        return tried[at].log_likelihood
 
     top = max(range(0, rims.size, 2), key=likelihood)
     top = max((at for at in (top - 1, top, top + 1) if 0 <= at < rims.size), key=likelihood)

@@ -12,6 +12,7 @@ from typing import Literal, TypeVar
 from pydantic import Field
 
 from roemetry.config.overrides import Overridden
+from roemetry.config.pattern_file import PatternFile, read_pattern
 from roemetry.config.recipe_file import Channel, Choice, Contrast, Section, SensorFile, StageChoice, Turn
 from roemetry.config.resolve import ResolvedStage, StageResolver
 from roemetry.config.target_file import (
@@ -106,6 +107,10 @@ class RigFile(Section):
 
     roemetry_rig: Literal[1] = Field(description="version of the rig format")
     name: str = Field(min_length=1, description="what to call the rig")
+    pattern: str | PatternFile | None = Field(
+        default=None,
+        description="the light's pattern, a file or the pattern itself: it says `stripes` and lines along Y",
+    )
     stripes: int | None = Field(
         default=None,
         ge=1,
@@ -221,9 +226,23 @@ class Rig:
         if file is None:
             raise ConfigurationError(faults)
         chooser = StageResolver(registry or discover(), document.place, path.parent)
+        folder = path.parent
+        pattern = None
+        if file.pattern is not None:
+            told = file.pattern
+            pattern = _asked(chooser, "pattern", lambda: read_pattern(told, folder))
+        if pattern is not None:
+            file = _with_pattern(file, pattern, chooser)
         extractor = chooser.choose("extractor", file.extractor, "extractor")
         calibrator = chooser.choose("calibrator", file.calibrator, "calibrator")
-        folder = path.parent
+        for key, chosen in (("extractor", extractor), ("calibrator", calibrator)):
+            if pattern is not None and chosen is not None:
+                light = chosen.stage.capabilities.pattern
+                if light != pattern.light:
+                    said = (
+                        f"`{chosen.registered.entry.name}` is made for {light}, the pattern is {pattern.kind}"
+                    )
+                    chooser.fault(said, key)
         images = _images(folder, file.images or CalibrationImages(), chooser, ("images",))
         more: list[tuple[Board, dict[str, list[Path]]]] = []
         for number, one in enumerate(file.more_boards):
@@ -250,8 +269,10 @@ class Rig:
                 "encoder_counts",
             )
         scan = file.scan
-        if file.stripes is None and (
-            scan is not None or _with_laser(images, *(theirs for _, theirs in more))
+        if (
+            file.stripes is None
+            and file.pattern is None
+            and (scan is not None or _with_laser(images, *(theirs for _, theirs in more)))
         ):
             chooser.fault("this is missing", "stripes")
         if file.images is None and (scan is None or scan.base is None):
@@ -276,6 +297,16 @@ class Rig:
             tuple(more),
             **for_scan,
         )
+
+
+def _with_pattern(file: RigFile, pattern: PatternFile, chooser: StageResolver) -> RigFile:
+    """Give the rig with what its pattern says of stripes and calibrator."""
+    if file.stripes not in (None, pattern.lines_x):
+        chooser.fault(
+            f"the pattern has {pattern.lines_x} lines along X, `stripes` says {file.stripes}", "stripes"
+        )
+    calibrator = _asked(chooser, "calibrator", lambda: pattern.calibrated_by(file.calibrator))
+    return file.model_copy(update={"stripes": pattern.lines_x, "calibrator": calibrator or file.calibrator})
 
 
 def _with_laser(*images: dict[str, list[Path]]) -> bool:

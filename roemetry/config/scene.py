@@ -14,6 +14,7 @@ from typing import Any, Literal
 from pydantic import Field, field_validator
 
 from roemetry.config.overrides import Overridden
+from roemetry.config.pattern_file import PatternFile, read_pattern
 from roemetry.config.recipe_file import Choice, Section
 from roemetry.config.resolve import ResolvedStage, StageResolver
 from roemetry.config.validation import checked
@@ -35,6 +36,10 @@ class SceneFile(Section):
     licence: str = Field(min_length=1, description="licence of the data set (SPDX identifier)")
     item: str = Field(
         default="item_{number:06d}", description="id of an item; {number} counts from 1, e.g. {number:03d}"
+    )
+    pattern: str | PatternFile | None = Field(
+        default=None,
+        description="the light's pattern: a file, or the pattern itself; the simulator's laser is made of it",
     )
     simulator: Choice
 
@@ -73,6 +78,14 @@ class Scene:
         file, faults = checked(SceneFile, data, document.place)
         if file is None:
             raise ConfigurationError(faults)
+        if file.pattern is not None:
+            try:
+                drawn = read_pattern(file.pattern, path.parent).drawn_by(file.simulator)
+            except RoemetryError as error:
+                raise ConfigurationError(
+                    f"{document.place(('pattern',))}: pattern: {error.message}", hint=error.hint
+                ) from error
+            file = file.model_copy(update={"pattern": None, "simulator": drawn})
         chooser = StageResolver(registry or discover(), document.place, path.parent)
         simulator = chooser.choose("simulator", file.simulator, "simulator")
         if chooser.faults or simulator is None:
@@ -108,7 +121,9 @@ class Scene:
     def _told(self, *, exclude_defaults: bool) -> tuple[dict[str, Any], dict[str, Path]]:
         options = self.simulator.options.model_dump(mode="json", exclude_defaults=exclude_defaults)
         told = {
-            **self.file.model_dump(mode="json", exclude={"simulator"}, exclude_defaults=exclude_defaults),
+            **self.file.model_dump(
+                mode="json", exclude={"simulator", "pattern"}, exclude_defaults=exclude_defaults
+            ),
             "simulator": {"use": self.file.simulator.use, "options": options},
         }
         files: dict[str, Path] = {}

@@ -63,7 +63,7 @@ def test_stages_and_simulators_for_lines_alone_are_refused(pattern: str) -> None
 
 def test_drawn_dots_are_where_the_truth_says() -> None:
     sets = ["simulator.options.product={family: none}", "simulator.options.laser.speckle_contrast=0"]
-    sets += ["simulator.options.laser.planes=5", "simulator.options.laser.dots={lines: 4, spacing_mm: 6}"]
+    sets += ["pattern={kind: dots, lines_x: 5, lines_y: 4, spacing_x_mm: 6}"]
     made = Scene.load("recipes/potato_dots/simulated.yaml", sets=[*sets, "simulator.options.draft=true"])
     item = made.make().simulate(0, 3)
     truth = item.truth.stripes

@@ -120,8 +120,8 @@ def test_the_recipe_finds_the_volume() -> None:
 
 
 def test_a_cross_hair_shows_a_position_and_no_volume(tmp_path: Path) -> None:
-    sets = ["laser.planes=1", "laser.grid={lines: 1}", "draft=true"]
-    scene = Scene.load(GRID / "simulated.yaml", sets=[f"simulator.options.{one}" for one in sets]).make()
+    sets = ["pattern={kind: cross-hair}", "simulator.options.draft=true"]
+    scene = Scene.load(GRID / "simulated.yaml", sets=sets).make()
     truth = scene.simulate(0, 41)
     path = tmp_path / "calibration.yaml"
     _of_one_and_one(Calibration.load(GRID / "calibration.yaml")).save(path)
