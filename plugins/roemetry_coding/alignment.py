@@ -59,10 +59,12 @@ class AlignerOptions(StageOptions):
     """From which motion on a frame is corrected, and from which it is refused."""
 
     correct_from_px: float = Field(
-        default=0.05, gt=0, description="motion of a rest line from which the calibration is corrected, px"
+        default=0.05,
+        gt=0,
+        description="motion of a rest line or dot from which it is corrected, px",
     )
     refuse_from_px: float = Field(
-        default=3.0, gt=0, description="motion of a rest line from which the frame is refused, px"
+        default=3.0, gt=0, description="motion of a rest line or dot from which it is refused, px"
     )
 
 
@@ -152,7 +154,7 @@ def alignment_of(
                 f"{2 * largest_std:.1f} px whether camera, laser or belt have moved",
             )
         )
-    shifts = np.array([natural[0] / focal_px, natural[3]])[:distant]
+    shifts = np.array([natural[0] / focal_px, natural[3] if math.isfinite(focal_px) else 0.0])[:distant]
     covariance[2, 2] += float((shifts**2).sum())  # what has moved is not known: see above
     return Alignment(
         motion=rounded if corrected else np.zeros(4),

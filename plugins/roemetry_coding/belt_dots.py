@@ -74,6 +74,8 @@ class BeltDots(Aligner[AlignerOptions]):
             raise StageError(
                 f"the {what}, not of dots", hint="set `extractor: dots` and calibrate with pinhole-dots"
             )
+        if calibration.view is None:
+            raise StageError("the calibration has no camera", hint="calibrate with pinhole-dots")
         model = _model_of(calibration, moved)
         xy_px = np.column_stack([peaks.x_px, peaks.dots.y_px])
         search_px = min(SEARCH_PX, SEARCH_SPACING * model.spacing_px)
@@ -84,13 +86,14 @@ class BeltDots(Aligner[AlignerOptions]):
         outer = ((xy_px < first + end_px) | (xy_px >= last - end_px)).any(axis=1)
         which = which[seen]
         off_px, answer = xy_px[seen] - model.place_px[which], model.answer[which]
-        motion, weight = _fitted(off_px, answer, search_px)
+        motion, weight, width_px = _fitted(off_px, answer, search_px)
         left_px = off_px - answer @ motion
         fit = np.hypot(*left_px.T) < _ON_PLACE_PX
-        if max(fit.sum(), outer.sum()) < _DOTS_MIN:
+        if outer.sum() >= _DOTS_MIN:
+            refuse_far(int(outer.sum()), int((fit & outer[seen]).sum()), _LIGHT)
+        if fit.sum() < _DOTS_MIN:
             return not_compared()
-        refuse_far(int(outer.sum()), int((fit & outer[seen]).sum()), _LIGHT)
-        covariance = _sandwich(left_px, answer, weight, model.column[which], model.line[which])
+        covariance = _sandwich(left_px, answer, weight, width_px, model.column[which], model.line[which])
         found = FittedMotion(
             motion,
             covariance,
@@ -150,8 +153,8 @@ def _places_px(calibration: Calibration) -> Floats:
     return calibration.view.project(at_height(lines.reshape(-1, 4), 0.0)).reshape(*lines.shape[:2], 2)
 
 
-def _fitted(off_px: Floats, answer: Floats, search_px: float) -> tuple[Floats, Floats]:
-    """Fit the motion to (dot, 2) offsets; gives it and (dot,) weights."""
+def _fitted(off_px: Floats, answer: Floats, search_px: float) -> tuple[Floats, Floats, float]:
+    """Fit the motion to (dot, 2) offsets; gives it, (dot,) weights, and the biweight's width, px."""
     theta, sigma = np.zeros(4), search_px
     for turn in range(len(WIDTHS) + LAST_ROUNDS):
         width = WIDTHS[turn] * search_px if turn < len(WIDTHS) else SIGMAS * sigma
@@ -164,16 +167,24 @@ def _fitted(off_px: Floats, answer: Floats, search_px: float) -> tuple[Floats, F
         sigma = max(SIGMA_MIN_PX, float(np.sqrt(0.5 * weight @ square / max(weight.sum(), 1.0))))
         if turn >= len(WIDTHS) and np.abs(theta - before).max() < SETTLED_PX:
             break
-    return theta, weight
+    return theta, weight, width
 
 
-def _sandwich(left_px: Floats, answer: Floats, weight: Floats, *groups: Integers) -> Floats:
-    """Give the motion's covariance (4, 4), by what each group of dots pulls it by; groups are added."""
-    bread = np.linalg.inv(np.einsum("n,nia,nib->ab", weight, answer, answer) + 1e-9 * np.eye(4))
-    pull = np.einsum("n,nia,ni->na", weight, answer, left_px) @ bread
+def _sandwich(left_px: Floats, answer: Floats, weight: Floats, width_px: float, *groups: Integers) -> Floats:
+    """Give the motion's covariance (4, 4), by what each group of dots pulls it by; groups are added.
+
+    The bread is the change of the pull by the motion: of a weight w(r)·r that is less than the weight's.
+    """
+    along = np.einsum("nia,ni->na", answer, left_px)
+    change = np.einsum("n,nia,nib->ab", weight, answer, answer)
+    change -= np.einsum("n,na,nb->ab", 4.0 * np.sqrt(weight) / width_px**2, along, along)
+    bread = np.linalg.pinv(change, hermitian=True)
+    pull = (weight[:, None] * along) @ bread
     found = np.zeros((4, 4))
     for group in groups:
         together = np.zeros((int(group.max(initial=0)) + 1, 4))
         np.add.at(together, group, pull)
-        found += together.T @ together
+        many = np.unique(group[weight > 0.0]).size
+        # of few groups the scatter about what was fitted to them is too small: as of n numbers by n − 4
+        found += together.T @ together * many / max(many - 4, 1)
     return found

@@ -110,7 +110,7 @@ class BeltLines(Aligner[AlignerOptions]):
         refuse_far(fit.outer_peaks, fit.outer_fit, LIGHT)
         motion = FittedMotion(fit.motion, fit.covariance, model.edges, model.scale)
         found = alignment_of(motion, self.options, focal_px_of(calibration), LIGHT, 1)
-        return with_planes(found, fit.stripe_px, fit.sigma_px)
+        return with_planes(found, (fit.stripe_px, fit.sigma_px, LIGHT))
 
 
 LIGHT = Light("stripes", "the calibrated rest lines", "image's top and bottom")
@@ -139,20 +139,22 @@ def fitted(peaks: Peaks, model: Model) -> Fit:
     ))  # fmt: skip
 
 
-def with_planes(found: Alignment, stripe_px: Floats, sigma_px: float) -> Alignment:
+def with_planes(found: Alignment, *families: tuple[Floats, float, Light]) -> Alignment:
     """Add what single planes of light have moved against the others; StageError where that is too far.
 
-    `stripe_px` (stripe,) is how far each lies beside where the motion takes it, and `sigma_px` its scatter.
+    Of each family (stripe,) px that stripes lie beside where the motion takes them, their scatter, and words.
     """
-    planes_px, said = _stripes_that_moved(stripe_px, sigma_px)
+    moved = [_stripes_that_moved(*family) for family in families]
+    planes_px = np.concatenate([planes for planes, _ in moved])
+    sigma_px = max(sigma for _, sigma, _ in families)
     return replace(
         found,
-        stripe_px=stripe_px,
+        stripe_px=np.concatenate([stripe_px for stripe_px, _, _ in families]),
         planes_px=planes_px,
         planes_std_px=math.hypot(
             sigma_px / math.sqrt(BLOCKS), _PLANE_DOUBT * max(map(abs, planes_px.tolist()))
         ),
-        reasons=(*found.reasons, *said),
+        reasons=(*found.reasons, *(reason for _, said in moved for reason in said)),
     )
 
 
@@ -214,7 +216,7 @@ def model_of(calibration: Calibration, moved: Callable[[Calibration, Alignment],
     )
 
 
-def _stripes_that_moved(stripe_px: Floats, sigma_px: float) -> tuple[Floats, list[Reason]]:
+def _stripes_that_moved(stripe_px: Floats, sigma_px: float, light: Light) -> tuple[Floats, list[Reason]]:
     """Give how far single planes have moved against the others, 0 for those that have not, and name them."""
     limit = max(_STRIPE_MOVED_PX, SIGNIFICANT * sigma_px / math.sqrt(BLOCKS))
     moved_px = np.where(np.abs(stripe_px) > limit, stripe_px, 0.0)  # NaN has not
@@ -224,10 +226,10 @@ def _stripes_that_moved(stripe_px: Floats, sigma_px: float) -> tuple[Floats, lis
     which = ", ".join(f"{s + 1} ({stripe_px[s]:+.2f} px)" for s in far)
     if np.abs(moved_px).max() > max(_STRIPE_REFUSED_PX, limit):
         raise StageError(
-            f"stripes have moved against the others on the belt: {which}",
+            f"{light.what} have moved against the others on the belt: {which}",
             hint="fasten the projector, and calibrate again",
         )
-    text = f"stripes have moved against the others on the belt: {which}; corrected, with its uncertainty"
+    text = f"{light.what} have moved against the others on the belt: {which}; corrected, with its uncertainty"
     return moved_px, [Reason("stripe-moved", f"{text}; calibrate again")]
 
 

@@ -174,7 +174,7 @@ def closed_volume(
         raise StageError("top and bottom enclose nothing")
     footprint = float(np.isfinite(upper).sum() * step * (y[1] - y[0]))
     coarse = [float((areas + beyond)[first::2].sum() * 2.0 * step) for first in (0, 1)]
-    pitch = [one.scan.pitch_rel_std if one.scan is not None else 0.0 for one in (top, bottom)]
+    scans = [one.scan for one in (top, bottom) if one.scan is not None]
     return estimate_of(
         value,
         {
@@ -182,7 +182,8 @@ def closed_volume(
             "unseen rim": _RIM_SHARE * (float(beyond.sum() * step) + ends),
             "flanks": FLANK_SHARE * abs(followed) * step * float(y[1] - y[0]),
             "between sections": 0.5 * abs(coarse[0] - coarse[1]),
-            "motion": value * max(pitch),
+            "motion": value * max((scan.pitch_rel_std for scan in scans), default=0.0),
+            "belt off its zero": value * max((scan.belt_off_rel_std for scan in scans), default=0.0),
         },
     )
 

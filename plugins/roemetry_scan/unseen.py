@@ -1,9 +1,11 @@
-"""What is not seen between a product's slices and the belt beside them.
+"""What is not seen between a product's slices and what is seen beside them.
 
 Where light is too faint, a slice ends before the product does. Then neither product nor belt is seen for some
 way beside its end. A flank that is seen to its rim ends steeply there, for only what turns away from light
 and camera hides what lies beyond it. So where a slice ends with less than 45°, the product may go on along
-its tangent up to the belt that is seen next: that much it may be larger.
+its tangent up to what is seen next or the image's side: that much it may be larger.
+
+It fails where a flank steeper than that is too dim to be seen whole.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from roemetry.records import Profiles
 from roemetry.records.arrays import Flags, Floats
 
 _STEPS = 3.0
-"""Steps from a slice's end to the belt, that an edge between two points takes."""
+"""Steps from a slice's end to what is seen beside it, that an edge between two points takes."""
 _SLOPE_POINTS = 5
 """From the end inwards, over which its slope is taken."""
 _STEEP = 1.0
@@ -36,27 +38,27 @@ def beside_mm3(profiles: Profiles) -> Floats:
         part = slice(first, first + _AT_ONCE)
         label = profiles.product[part]
         for number in np.unique(label[label > 0]).tolist():
-            area = _beside_mm2(profiles.xyz_mm[part], label == number, label == 0)
+            area = _beside_mm2(profiles.xyz_mm[part], label == number, label >= 0)
             found[number] += np.nansum(area * held_mm[part])
     return found
 
 
-def _beside_mm2(xyz_mm: Floats, mine: Flags, belt: Flags) -> Floats:
-    """Give (slice,) the area between a product's ends and the belt, under their tangents."""
+def _beside_mm2(xyz_mm: Floats, mine: Flags, seen: Flags) -> Floats:
+    """Give (slice,) the area between a product's ends and what is seen next, under their tangents."""
     step_mm = float(np.nanmedian(np.abs(np.diff(xyz_mm[..., 1], axis=1))))
     every, points, total = np.arange(len(mine)), mine.shape[1], np.zeros(len(mine))
     for way in (slice(None), slice(None, None, -1)):  # beyond the first point, and beyond the last
-        y, z = xyz_mm[:, way, 1], xyz_mm[:, way, 2]
-        end = mine[:, way].argmax(axis=1)
-        known = np.where(belt[:, way], np.arange(points), -1)
-        last = np.maximum.accumulate(known, axis=1)[every, end]
+        y, z, own = xyz_mm[:, way, 1], xyz_mm[:, way, 2], mine[:, way]
+        end = own.argmax(axis=1)
+        before = np.where(seen[:, way], np.arange(points), -1)[:, :-1]
+        next_seen = np.maximum.accumulate(np.pad(before, ((0, 0), (1, 0)), constant_values=-1), axis=1)
+        gap_mm = (end - next_seen[every, end] - _STEPS) * step_mm
         inner = np.minimum(end + _SLOPE_POINTS, points - 1)
-        slope = (z[every, inner] - z[every, end]) / np.abs(y[every, inner] - y[every, end])
-        slope = np.maximum(slope, 0.0)
-        gap_mm = np.abs(y[every, end] - y[every, last]) - _STEPS * step_mm
+        top = z[every, end]
+        slope = (z[every, inner] - top) / np.abs(y[every, inner] - y[every, end])
+        slope = np.where(own[every, inner], np.maximum(slope, 0.0), 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            long_mm = np.clip(np.minimum(gap_mm, z[every, end] / slope), 0.0, None)
-        area = long_mm * (z[every, end] - 0.5 * slope * long_mm)
-        open_ = mine.any(axis=1) & (last >= 0) & (slope < _STEEP) & (area > 0.0)
-        total += np.where(open_, area, 0.0)
+            long_mm = np.clip(np.minimum(gap_mm, top / slope), 0.0, None)
+        area = long_mm * (top - 0.5 * slope * long_mm)
+        total += np.where(mine.any(axis=1) & (slope < _STEEP) & (area > 0.0), area, 0.0)
     return total

@@ -35,6 +35,7 @@ from roemetry_pinhole.pinhole_plane import PinholePlane
 from roemetry_scan.dense import DenseSlices
 from roemetry_scan.placing import BeltMotion
 from roemetry_scan.scan_source import BeltScan
+from roemetry_scan.torn_lines import torn_lines
 
 FRUSTUM = {"length_mm": 40, "width_mm": 30, "top_share": 0.5, "height_mm": 12}
 TRUE_MM3 = 40 * 30 * 12 * (1 + 0.5 + 0.25) / 3
@@ -92,8 +93,8 @@ def test_a_belt_beside_its_calibrated_place_widens_the_interval_by_what_a_moved_
     assert figures[0] is not None and figures[1] is not None
     assert figures[0].belt_off_rel_std < 1e-4
     error = volume((moved, lines)) / volume(seen) - 1.0
-    # uniform up to the greatest error, which the moved camera makes
-    assert figures[1].belt_off_rel_std == pytest.approx(abs(error) / np.sqrt(3.0), rel=0.25)
+    # uniform up to the greatest error: half as much again as that of the moved camera
+    assert figures[1].belt_off_rel_std == pytest.approx(1.5 * abs(error) / np.sqrt(3.0), rel=0.25)
     assert "belt-off-zero" in [reason.code for reason in placed(moved, lines).reasons]
 
 
@@ -140,6 +141,42 @@ def test_a_slice_that_ends_before_the_product_does_may_be_larger_by_what_is_not_
     lost = volume(seen) - volume((dim, lines))
     assert lost > 0.1 * TRUE_MM3
     assert lost < placed(dim, lines).beside_mm3[1] < 2.0 * lost
+
+
+def test_what_is_dark_between_two_products_or_up_to_the_image_s_side_belongs_to_one_slice(seen: Scan) -> None:
+    """A gap in the middle of a product: each half may reach the other, and not the belt beyond it."""
+    stripes, lines = seen
+    for dark, most in ((np.arange(60, 100), 1.0), (np.arange(100, 160), 2.0)):
+        cut = np.isin(np.arange(stripes.rows), dark)[None, :]
+        dim = replace(
+            stripes,
+            x_px=np.where(cut, np.nan, stripes.x_px),
+            x_std_px=np.where(cut, np.nan, stripes.x_std_px),
+            product=np.where(cut, np.int16(-1), stripes.product),
+            seen=stripes.seen & ~cut,
+        )
+        whole, parts = placed(stripes, lines), placed(dim, lines)
+        lost = np.nansum(np.where(whole.product > 0, whole.xyz_mm[..., 2], 0.0)[:, dark]) * _cell_mm2(whole)
+        for number in range(1, parts.product.max() + 1):
+            assert 0.7 * lost < parts.beside_mm3[number] < (0.7 + most) * lost
+
+
+def _cell_mm2(profiles: Profiles) -> float:
+    """Give what a point stands for, mm²."""
+    assert profiles.scan is not None
+    return profiles.scan.pitch_mm * float(np.nanmedian(np.abs(np.diff(profiles.xyz_mm[..., 1], axis=1))))
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 30.0, 45.0])
+def test_ridges_and_oblique_edges_are_not_torn(turn_deg: float) -> None:
+    """A box, and a roof over it whose ridge runs across the belt or obliquely, at coarse and fine lines."""
+    angle = np.radians(turn_deg)
+    for pitch, row in ((2.0, 0.1), (2.0, 0.25), (0.5, 0.25)):
+        x, y = np.meshgrid(np.arange(-30.0, 30.0, pitch), np.arange(-30.0, 30.0, row), indexing="ij")
+        u, v = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
+        on = (np.abs(u) < 15.0) & (np.abs(v) < 15.0)
+        for height in (np.full_like(u, 10.0), 10.0 - 0.6 * np.abs(u)):
+            assert not torn_lines(np.where(on, height, 0.0), int(np.ceil(2.0 * pitch / row))).any()
 
 
 def test_a_sound_scan_has_no_torn_line(seen: Scan) -> None:
