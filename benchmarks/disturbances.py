@@ -323,7 +323,8 @@ class _FrameRng(np.random.Generator):
     def __init__(self, seed: Sequence[int], line: int) -> None:
         super().__init__(np.random.PCG64(seed))
         own = np.random.default_rng([*seed, line])
-        self.normal, self.random = own.normal, own.random  # type: ignore[method-assign]
+        for noise in ("normal", "random", "standard_normal", "poisson"):
+            setattr(self, noise, getattr(own, noise))
 
 
 # Scenes rendered anew.
