@@ -94,12 +94,7 @@ class BeltDots(Aligner[AlignerOptions]):
         if fit.sum() < _DOTS_MIN:
             return not_compared()
         covariance = _sandwich(left_px, answer, weight, width_px, model.column[which], model.line[which])
-        found = FittedMotion(
-            motion,
-            covariance,
-            model.answer.reshape(-1, 4),
-            model.scale,
-        )
+        found = FittedMotion(motion, covariance, model.answer.reshape(-1, 4), model.scale)
         return alignment_of(found, self.options, focal_px_of(calibration), _LIGHT, 2)
 
 

@@ -52,6 +52,7 @@ def _counting_made(kind: type[np.unsignedinteger[Any]]) -> Any:
     def count(
         pixels: NDArray[Any], least: int, by_row: Integers, by_column: Integers, breaks: Integers
     ) -> None:
+        """Add to the counts of each row and column; see `count_steps`."""
         rows, columns = pixels.shape
         high, low = np.zeros(columns + 1, kind), np.zeros(columns + 1, kind)
         steep, broken = np.empty(columns, kind), np.empty(columns, kind)

@@ -1,8 +1,8 @@
 """Whether an outline in the plain image and the light on the product agree.
 
-What is seen of a stripe on the product ends on or inside the outline, and where
-it goes on along the belt it lies outside: each end brackets the edge. Shadow and lens open brackets, but
-never shift them, and on the side that faces the light stripes reach the outline. So of all ends around it
+What is seen of a stripe on the product ends on or inside the outline, and where it goes on along the belt it
+lies outside: each end brackets the edge. Shadow and lens open brackets, but never shift them, and on the side
+that faces the light stripes reach the outline. So of all ends around it
 
     σ = max(2·mean(max(−p_free, 0)), q10(p), q90(b)) − what a stripe's own width leaves open,
 

@@ -8,9 +8,8 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from roemetry.config.recipe_file import Section, StageChoice
-from roemetry.config.validation import checked
+from roemetry.config.target_file import described
 from roemetry.errors import ConfigurationError
-from roemetry.io.yaml_source import read
 
 
 class PatternFile(Section):
@@ -84,11 +83,6 @@ class PatternFile(Section):
 
 def read_pattern(given: str | PatternFile, folder: Path) -> PatternFile:
     """Give the pattern; ConfigurationError with every fault of its file, each with its place."""
-    if not isinstance(given, str):
-        return given
-    document = read(folder / given)
-    found, faults = checked(PatternFile, document.data, document.place)
-    if found is None:
-        raise ConfigurationError(faults)
-    pattern: PatternFile = found
+    pattern = described(given, folder, PatternFile)
+    assert pattern is not None
     return pattern

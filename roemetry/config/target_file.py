@@ -127,7 +127,7 @@ def read_target(path: Path) -> TargetFile:
 
 def read_block(given: str | BlockFile | None, folder: Path) -> Block | None:
     """Give the block; raise ConfigurationError where its file is at fault or a side is not known."""
-    found = _described(given, folder, BlockFile)
+    found = described(given, folder, BlockFile)
     if found is None:
         return None
     sides = {name: getattr(found, name) for name in ("length_mm", "width_mm", "height_mm")}
@@ -142,13 +142,13 @@ def read_block(given: str | BlockFile | None, folder: Path) -> Block | None:
 
 def read_board(given: str | BoardFile | None, folder: Path) -> Board | None:
     """Give the board; raise ConfigurationError where its file is at fault, as of the targets below."""
-    found = _described(given, folder, BoardFile)
+    found = described(given, folder, BoardFile)
     return None if found is None else Board(**found.model_dump())
 
 
 def read_staircase(given: str | StaircaseFile | None, folder: Path) -> Staircase | None:
     """Give the staircase."""
-    found = _described(given, folder, StaircaseFile)
+    found = described(given, folder, StaircaseFile)
     if found is None:
         return None
     return Staircase(found.name, tuple(found.heights_mm), found.tread_mm, found.width_mm, found.tolerance_mm)
@@ -156,7 +156,7 @@ def read_staircase(given: str | StaircaseFile | None, folder: Path) -> Staircase
 
 def read_pyramid(given: str | PyramidFile | None, folder: Path) -> Pyramid | None:
     """Give the truncated pyramid."""
-    found = _described(given, folder, PyramidFile)
+    found = described(given, folder, PyramidFile)
     if found is not None and found.top_mm >= found.base_mm:
         raise ConfigurationError(f"`{found.name}`: its top is no smaller than its base")
     return None if found is None else Pyramid(**found.model_dump(exclude={"kind"}))
@@ -164,7 +164,7 @@ def read_pyramid(given: str | PyramidFile | None, folder: Path) -> Pyramid | Non
 
 def read_sphere_plate(given: str | SpherePlateFile | None, folder: Path) -> SpherePlate | None:
     """Give the sphere plate."""
-    found = _described(given, folder, SpherePlateFile)
+    found = described(given, folder, SpherePlateFile)
     if found is not None and found.columns * found.rows > 1 and found.diameter_mm >= found.pitch_mm:
         raise ConfigurationError(
             f"`{found.name}`: its balls touch each other: diameter_mm is not below pitch_mm"
@@ -172,8 +172,8 @@ def read_sphere_plate(given: str | SpherePlateFile | None, folder: Path) -> Sphe
     return None if found is None else SpherePlate(**found.model_dump(exclude={"kind"}))
 
 
-def _described(given: str | _File | None, folder: Path, model: type[_File]) -> _File | None:
-    """Read a target's file, unless the target itself was given."""
+def described(given: str | _File | None, folder: Path, model: type[_File]) -> _File | None:
+    """Read the file of a target or pattern, unless it was given; ConfigurationError with all its faults."""
     if not isinstance(given, str):
         return given
     document = read(folder / given)
