@@ -184,6 +184,8 @@ def closed_volume(
             "between sections": 0.5 * abs(coarse[0] - coarse[1]),
             "motion": value * max((scan.pitch_rel_std for scan in scans), default=0.0),
             "belt off its zero": value * max((scan.belt_off_rel_std for scan in scans), default=0.0),
+            "length of the line": value
+            * max((np.nan_to_num(scan.line_length_rel_std) for scan in scans), default=0.0),
         },
     )
 

@@ -33,6 +33,7 @@ from roemetry.records.scan import Motion
 from roemetry.stages import Triangulator
 from roemetry_scan.belt import plane_of_belt
 from roemetry_scan.counting import counted
+from roemetry_scan.line_ends import line_ends
 from roemetry_scan.rows import placed, points_of_rows
 
 Distances = Callable[[Floats], Floats]
@@ -112,7 +113,13 @@ def measured_motion(
     # the body's own lengths are known to their tolerance only
     relative = target.tolerance_mm / math.sqrt(3.0) / length
     covariance = covariance + relative**2 * np.outer(unknowns[:3], unknowns[:3])
-    motion = Motion(unknowns[:3], covariance, _per_parameter(steps, changes, calibration))
+    middle = line * calibration.stripe_count + calibration.stripe_count // 2
+    motion = Motion(
+        unknowns[:3],
+        covariance,
+        _per_parameter(steps, changes, calibration),
+        line_ends(stripes.x_px[middle], stripes.x_std_px[middle]),
+    )
     for change in changes:
         covariance = covariance + np.outer(change, change)
     size = float(np.sqrt(motion.mm_per_count @ motion.mm_per_count))

@@ -36,6 +36,7 @@ from roemetry.stages import Assembler, StageOptions, Triangulator
 from roemetry_scan.belt import BeltOptions, fitted_plane, frame_on, plane_of_belt, products_on
 from roemetry_scan.counting import counted
 from roemetry_scan.flanks import followed, usual_step
+from roemetry_scan.line_ends import line_ends, longer_by
 from roemetry_scan.motion import measured_motion
 from roemetry_scan.rows import RowTable, placed, points_of_rows
 from roemetry_scan.slip import slip_of
@@ -50,6 +51,8 @@ _BELT_SAMPLE = 5_000
 """The same where a tenth of a millimetre will do."""
 _UNIFORM = 1.0 / math.sqrt(3.0)
 """Of the greatest error: it may be any up to that, either way."""
+_LIKELY_ALL = 1.0 / math.sqrt(2.0)
+"""The same where the larger an error, the likelier: little but a camera nearer by makes a line longer."""
 _TURNED = 1.5
 """A laser that has turned about its own place changes more than a camera that has turned: by half, for light
 from 200 to 400 mm above the belt."""
@@ -60,6 +63,10 @@ _TORN_MAX = 0.02
 _OFF_TOLD = 0.002
 """Relative standard uncertainty that is worth a word: half of what a scan's volume usually has."""
 
+_LONGER_MAX = 0.01
+"""A line that is longer by more makes areas 2 % larger: more than a scan's other errors together."""
+_LONGER_TOLD = 0.001
+"""The same share of volumes as for the belt: `_OFF_TOLD`."""
 _AT_ONCE = 128
 """Image rows, or lines, that are looked at together: a copy of all of a long scan's heights is megabytes."""
 _STRAY_FACTOR = 2.0
@@ -106,6 +113,11 @@ class BeltMotion(Assembler[BeltOptions]):
         )
         label = np.where(np.isnan(xyz_mm[..., 0]), -1, stripes.product[at]).astype(np.int16)
         off_mm = self._belt_off_mm(xyz_mm, label, shift)
+        longer, longer_std = math.nan, math.nan
+        if not (label == 0).any():  # else it is a part of lines that were placed before
+            ends = line_ends(x_px, x_std_px)
+            longer, longer_std = longer_by(ends, motion.line_ends_rows, x_px.shape[1])
+        _refuse_longer(longer)
         step_counts = float(np.median(np.diff(found.way[line])))
         across = float(motion.mm_per_count @ normal)
         pitch = abs(across) * step_counts
@@ -118,8 +130,16 @@ class BeltMotion(Assembler[BeltOptions]):
             quantum_mm=float(np.sqrt(motion.mm_per_count @ motion.mm_per_count)),
             first_count=found.first, mm_per_count=_three(motion.mm_per_count),
             belt_off_rel_std=_UNIFORM * abs(_scale_per_mm(table, calibration, middle) * off_mm),
+            # a slice's area is as large as the square of what its line measures
+            line_length_rel_std=2.0 * math.hypot(_LIKELY_ALL * longer, longer_std),
         )  # fmt: skip
-        reasons = (*found.reasons, *_unreadable(figures), *_torn(whole), *_off(figures, off_mm))
+        reasons = (
+            *found.reasons,
+            *_unreadable(figures),
+            *_torn(whole),
+            *_off(figures, off_mm),
+            *_longer(longer),
+        )
         if per_line > 1:
             lag_mm = _lags(table.plane, motion.mm_per_count, middle)
             others = {
@@ -319,6 +339,30 @@ def _refuse_torn(whole: Flags) -> None:
             "or that part is another frame's",
             hint="look at the frames, at cable and frame grabber",
         )
+
+
+def _refuse_longer(longer: float) -> None:
+    if abs(longer) > _LONGER_MAX:
+        way = "longer" if longer > 0.0 else "shorter"
+        moved = "nearer" if longer > 0.0 else "farther away"
+        raise StageError(
+            f"the line of light on the belt is {abs(longer):.1%} {way} in the image than at calibration: the "
+            f"camera is {moved}, its lens has been turned, or other light is taken for the line's ends",
+            hint="fix camera and lens, and calibrate anew",
+        )
+
+
+def _longer(longer: float) -> tuple[Reason, ...]:
+    if not abs(longer) >= _LONGER_TOLD:
+        return ()
+    way = "longer" if longer > 0.0 else "shorter"
+    return (
+        Reason(
+            "line-length",
+            f"the line of light on the belt is {abs(longer):.2%} {way} in the image than at calibration: the "
+            "camera may have moved towards it or away; volumes are uncertain by twice as much for that",
+        ),
+    )
 
 
 def _off(figures: ScanFigures, off_mm: float) -> tuple[Reason, ...]:

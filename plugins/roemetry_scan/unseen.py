@@ -1,11 +1,15 @@
 """What is not seen between a product's slices and what is seen beside them.
 
-Where light is too faint, a slice ends before the product does. Then neither product nor belt is seen for some
-way beside its end. A flank that is seen to its rim ends steeply there, for only what turns away from light
-and camera hides what lies beyond it. So where a slice ends with less than 45°, the product may go on along
-its tangent up to what is seen next or the image's side: that much it may be larger.
+Where light is too faint, a slice ends before the product does. Then neither product nor belt is seen for
+some way beside its end, in the image: where a flank is seen to its rim, the next row shows the belt. So the
+product may go on over that way, but no farther than along its tangent down to the belt, where it ends with
+less than 45°; and where it is steeper, than a round flank does, which falls off within R·(1 − sin θ), with
+half the slice's width for its radius R. That much it may be larger.
 
-It fails where a flank steeper than that is too dim to be seen whole.
+A slice that ends behind the product, as the camera looks, shows no belt beside it for another reason. What
+faint light has taken there is told by the other ends: as much as from half of those.
+
+It fails where all of a product's ends lie behind it.
 """
 
 from __future__ import annotations
@@ -38,27 +42,36 @@ def beside_mm3(profiles: Profiles) -> Floats:
         part = slice(first, first + _AT_ONCE)
         label = profiles.product[part]
         for number in np.unique(label[label > 0]).tolist():
-            area = _beside_mm2(profiles.xyz_mm[part], label == number, label >= 0)
+            area = _beside_mm2(profiles.xyz_mm[part], label == number, label >= 0, profiles.seen[part])
             found[number] += np.nansum(area * held_mm[part])
     return found
 
 
-def _beside_mm2(xyz_mm: Floats, mine: Flags, seen: Flags) -> Floats:
-    """Give (slice,) the area between a product's ends and what is seen next, under their tangents."""
+def _beside_mm2(xyz_mm: Floats, mine: Flags, known: Flags, seen: Flags) -> Floats:
+    """Give (slice,) the area that may lie between a product's ends and what is known beside them."""
     step_mm = float(np.nanmedian(np.abs(np.diff(xyz_mm[..., 1], axis=1))))
-    every, points, total = np.arange(len(mine)), mine.shape[1], np.zeros(len(mine))
-    for way in (slice(None), slice(None, None, -1)):  # beyond the first point, and beyond the last
-        y, z, own = xyz_mm[:, way, 1], xyz_mm[:, way, 2], mine[:, way]
-        end = own.argmax(axis=1)
-        before = np.where(seen[:, way], np.arange(points), -1)[:, :-1]
-        next_seen = np.maximum.accumulate(np.pad(before, ((0, 0), (1, 0)), constant_values=-1), axis=1)
-        gap_mm = (end - next_seen[every, end] - _STEPS) * step_mm
-        inner = np.minimum(end + _SLOPE_POINTS, points - 1)
-        top = z[every, end]
-        slope = (z[every, inner] - top) / np.abs(y[every, inner] - y[every, end])
-        slope = np.where(own[every, inner], np.maximum(slope, 0.0), 0.0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            long_mm = np.clip(np.minimum(gap_mm, top / slope), 0.0, None)
-        area = long_mm * (top - 0.5 * slope * long_mm)
-        total += np.where(mine.any(axis=1) & (slope < _STEEP) & (area > 0.0), area, 0.0)
+    some = mine.any(axis=1)
+    every, points = np.arange(len(mine)), mine.shape[1]
+    y_mm, z_mm = xyz_mm[..., 1], xyz_mm[..., 2]
+    ends = np.stack([mine.argmax(axis=1), points - 1 - mine[:, ::-1].argmax(axis=1)])
+    radius_mm = 0.5 * np.abs(np.diff(y_mm[every, ends], axis=0)[0])
+    # the nearest point before each, and after each, that is known
+    place = np.where(known, np.arange(points), -1)
+    before = np.maximum.accumulate(np.pad(place[:, :-1], ((0, 0), (1, 0)), constant_values=-1), axis=1)
+    place = np.where(known, np.arange(points), points)[:, ::-1]
+    after = np.minimum.accumulate(np.pad(place[:, :-1], ((0, 0), (1, 0)), constant_values=points), axis=1)
+    beside = np.stack([before[every, ends[0]], after[:, ::-1][every, ends[1]]])
+    gap_mm = np.maximum((np.abs(ends - beside) - _STEPS) * step_mm, 0.0)
+    inner = np.clip(ends + _SLOPE_POINTS * np.array([[1], [-1]]), 0, points - 1)
+    top = z_mm[every, ends]
+    slope = (z_mm[every, inner] - top) / np.abs(y_mm[every, inner] - y_mm[every, ends])
+    slope = np.where(mine[every, inner], np.maximum(slope, 0.0), 0.0)
+    arc_mm = radius_mm * (1.0 - slope / np.hypot(1.0, slope))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        long_mm = np.minimum(gap_mm, np.where(slope < _STEEP, top / slope, arc_mm))
+    lit = some & seen[every, ends] & np.isfinite(long_mm)
+    usual_mm = float(np.median(long_mm[lit])) if lit.any() else 0.0
+    long_mm = np.where(lit, long_mm, np.minimum(long_mm, usual_mm))
+    area = long_mm * (top - 0.5 * np.minimum(slope * long_mm, top))
+    total: Floats = np.where(some, np.where(area > 0.0, area, 0.0).sum(axis=0), 0.0)
     return total

@@ -65,6 +65,9 @@ class ScanPart(Part):
         "the belt, mm; default: it looks down",
     )  # fmt: skip
     line_sigma_px: float = Field(default=1.6, gt=0, description="width of the line (standard deviation), px")
+    line_y_mm: tuple[float, float] | None = Field(
+        default=None, description="Y at which the light ends on the belt, mm; default: beyond the image"
+    )
 
 
 class MovingBeltOptions(RayCasterOptions):
@@ -145,15 +148,26 @@ class MovingBelt(RigSimulator[MovingBeltOptions]):
         side, turn, place = 1.0, np.eye(3), np.zeros(3)
         if below_mm is not None:
             side, turn, place = -1.0, _UPSIDE_DOWN, np.array([0.0, 0.0, below_mm])
-        normals = laser.normals @ turn
+        normals, axis = laser.normals @ turn, turn @ laser.line_axis
+        runs = self._runs()
         for shift in self.belt(drawn, seed)[1]:
             to = place - shift
             packed = camera.packed()
             packed[:3] = turn @ camera.centre_mm + to
             yield _cross(
                 body, packed, turn @ camera.rotation, turn @ laser.projector_mm + to, normals,
-                laser.offsets_mm + normals @ to, camera.height_px, camera.width_px, camera.distorts, side,
+                laser.offsets_mm + normals @ to, axis, runs, camera.height_px, camera.width_px,
+                camera.distorts, side,
             )  # fmt: skip
+
+    def _runs(self) -> Floats:
+        """Give the cosines of the angle with the fan's axis between which there is light."""
+        line = self.options.scan.line_y_mm
+        if line is None:
+            return np.array([-1.0, 1.0])
+        laser = self.rig.laser
+        feet = np.array([[float(laser.x_mm(y, 0.0)[0]), y, 0.0] for y in line]) - laser.projector_mm
+        return np.sort(feet @ laser.line_axis / np.linalg.norm(feet, axis=1))
 
     def frames(self, drawn: Drawn | None, seed: int) -> Iterator[tuple[Floats, Floats, NDArray[Any]]]:
         """Give of each line where it shows, how brightly, and the frame."""
@@ -189,9 +203,12 @@ class MovingBelt(RigSimulator[MovingBeltOptions]):
 @kernel
 def _cross(
     body: AnyBody, pinhole: Floats, rotation: Floats, projector: Floats, normals: Floats, offsets: Floats,
-    rows: int, columns: int, distorts: bool, side: float,
+    axis: Floats, runs: Floats, rows: int, columns: int, distorts: bool, side: float,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Give where planes of light show, and how brightly; `side` is 1 for a head above, −1 for one below."""
+    """Give where planes of light show, and how brightly; `side` is 1 for a head above, −1 for one below.
+
+    Light goes where the cosine of its angle with the fan's `axis` lies within `runs`.
+    """
     count = offsets.size
     found, bright = np.full((count, rows), np.nan), np.zeros((count, rows))
     near, far, d, o = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
@@ -233,7 +250,10 @@ def _cross(
             if sees_in(body, reach, point, normal, pinhole[:3], beam, scratch) <= 0.0:
                 continue
             light = sees_in(body, reach, point, normal, projector, beam, scratch)
-            if light > 0.0:
+            run = 0.0
+            for k in range(3):
+                run -= beam[k] * axis[k]
+            if light > 0.0 and runs[0] <= run <= runs[1]:
                 found[i, row], bright[i, row] = x, light
     return found, bright
 

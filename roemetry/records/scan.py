@@ -25,12 +25,15 @@ class Motion(Shown):
     """(3, parameter) by how much the motion is another one, mm, if a parameter of the calibration is larger
     by 1, in the order in which they stand: a scale that is wrong makes body and motion larger together.
     Without columns the covariance holds the calibration's errors as well."""
+    line_ends_rows: Floats = field(default_factory=lambda: np.full(2, np.nan))
+    """(2,) image rows between which the line of light was seen; NaN where it reached the image's side."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
         vector = check.array("mm_per_count", np.float64, (3,))
         covariance = check.array("covariance", np.float64, (3, 3))
         check.array("per_parameter", np.float64, (3, None))
+        check.array("line_ends_rows", np.float64, (2,))
         sound = bool(np.isfinite(vector).all() and np.isfinite(covariance).all())
         check.require(sound and bool(np.abs(vector).max(initial=0.0) > 0), "the motion is zero or not finite")
         check.finish()
@@ -44,13 +47,19 @@ class Motion(Shown):
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, as they stand in a calibration file."""
         told = {"mm_per_count": self.mm_per_count.tolist(), "covariance": self.covariance.tolist()}
-        return told | ({"per_parameter": self.per_parameter.tolist()} if self.per_parameter.size else {})
+        if self.per_parameter.size:
+            told["per_parameter"] = self.per_parameter.tolist()
+        if np.isfinite(self.line_ends_rows).all():
+            told["line_ends_rows"] = self.line_ends_rows.tolist()
+        return told
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Motion:
         """Read what `to_dict` wrote; KeyError, ValueError or DataError where it is damaged."""
         vector, covariance = (np.array(data[name], np.float64) for name in ("mm_per_count", "covariance"))
-        return cls(vector, covariance, np.array(data.get("per_parameter", np.zeros((3, 0))), np.float64))
+        per_parameter = np.array(data.get("per_parameter", np.zeros((3, 0))), np.float64)
+        ends = np.array(data.get("line_ends_rows", [math.nan, math.nan]), np.float64)
+        return cls(vector, covariance, per_parameter, ends)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +87,9 @@ class ScanFigures:
     belt_off_rel_std: float = 0.0
     """Relative standard uncertainty of volumes where the belt lies beside the calibrated one: it may have
     sunk, or camera or laser may have moved."""
+    line_length_rel_std: float = math.nan
+    """Relative standard uncertainty of volumes where the line of light is longer or shorter in the image than
+    at calibration: the camera may have come nearer; NaN where the line's ends are not in view to tell."""
     registration_mm: float = 0.0
     """Of two heads: standard uncertainty of the height of one against the other, mm."""
     first_count: float = math.nan

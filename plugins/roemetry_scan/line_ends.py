@@ -1,0 +1,62 @@
+"""Where the line of light ends on the belt, and how much longer it is in the image than at calibration.
+
+A single line on a level belt looks the same from nearer by, but for its length, and areas are measured as
+much larger as the square of that. So where both ends are in view, the line is measured. Towards an end its
+light fades over a pixel or two, and the uncertainty of its places grows: the end is where that has doubled,
+which is near half the light, between rows.
+
+Fails where the line reaches the image's side: then nothing tells, and NaN is given. Most lines of a scan must
+show bare belt at both ends. Where the light fades slowly, a dimmer line is a shorter one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roemetry.records.arrays import Floats
+
+_SIDE_ROWS = 2
+"""An end so near to the image's side may be cut off by it."""
+_LINES = 2000
+"""Lines that are looked at: more tell the end of noisy light no better than to a hundredth of a row."""
+_DOUBLED, _NOT_SEEN = 2.0, 6.0
+"""Times the line's usual uncertainty: at its end, and where light is too faint to be found."""
+_END_STD_ROWS = 0.1
+"""Standard uncertainty of an end, rows: where noise is of the sensor instead of the light, ends lie 0.2 px
+farther in, under a lens that blurs by 0.7 px."""
+
+
+def line_ends(x_px: Floats, x_std_px: Floats) -> Floats:
+    """Give (2,) first and last row of a line, from its places in (line, row) and their uncertainties, px.
+
+    NaN where it reaches the image's side, or no uncertainties are stated.
+    """
+    lines, rows = x_px.shape
+    some = slice(None, None, max(1, lines // _LINES))
+    seen = np.flatnonzero(np.isfinite(x_px[some]).mean(axis=0) >= 0.5)
+    ends = np.full(2, np.nan)
+    if seen.size < 2:
+        return ends
+    times = np.full(rows, _NOT_SEEN)
+    times[seen] = np.nanmedian(
+        np.where(np.isfinite(x_px[some][:, seen]), x_std_px[some][:, seen], np.nan), axis=0
+    )
+    times[seen] = np.minimum(times[seen] / np.median(times[seen]), _NOT_SEEN)
+    for k, way in enumerate((1, -1)):
+        clear = np.flatnonzero(times[::way] < _DOUBLED)
+        if clear.size and clear[0] >= _SIDE_ROWS:
+            inside, outside = np.log(times[::way][clear[0] - np.arange(2)])
+            end = clear[0] - (np.log(_DOUBLED) - inside) / (outside - inside)
+            ends[k] = end if way > 0 else rows - 1 - end
+    return ends
+
+
+def longer_by(ends: Floats, calibrated: Floats, rows: int) -> tuple[float, float]:
+    """Give by which share a line is longer than the calibrated one, and the standard uncertainty of that.
+
+    An end that has left an image of so many rows lies at its side at least; NaN where the calibrated line
+    had not both of its ends in view.
+    """
+    inside = np.where(np.isfinite(ends), ends, [0.0, rows - 1.0])
+    length = float(calibrated[1] - calibrated[0])
+    return float(inside[1] - inside[0]) / length - 1.0, float(np.sqrt(2.0)) * _END_STD_ROWS / length
