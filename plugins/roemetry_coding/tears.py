@@ -22,6 +22,7 @@ lost on a level product, or lines that do not lean), and on steps along the rows
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -351,7 +352,8 @@ def _note(
 def _shift(off_sum: Floats, near: Floats, sampled: int) -> tuple[int, float, float, bool]:
     """Give the row at which the belt is shifted most, how far, how far it usually is, and whether it bends.
 
-    A bend in the lines goes on. Row −1 of none.
+    Usually: as far as chance shifts as many stripes as tell it there. A bend in the lines goes on. Row −1 of
+    none.
 
     Parameters
     ----------
@@ -361,6 +363,7 @@ def _shift(off_sum: Floats, near: Floats, sampled: int) -> tuple[int, float, flo
     """
     blocks, stripes = near.shape
     shift, shifts, middle = np.zeros(blocks), np.empty(stripes), np.empty(blocks)
+    sure = np.zeros(blocks)  # the scatter of a median of few stripes is larger by the root of their number
     known, full = 0, _SHIFT_FULL * _SHIFT_BLOCKS * sampled
     for k in range(1, blocks):
         for s in range(stripes):
@@ -377,17 +380,23 @@ def _shift(off_sum: Floats, near: Floats, sampled: int) -> tuple[int, float, flo
                 count += 1
         shift[k] = median_of(shifts[:count]) if count >= _SHIFT_STRIPES else np.inf
         if count >= _SHIFT_STRIPES:
+            sure[k] = math.sqrt(count / stripes)
             middle[known] = shift[k]
             known += 1
     if known < 2 * _SHIFT_BLOCKS:
         return -1, 0.0, 0.0, False
     turned = median_of(middle[:known])  # of a camera that has turned: the same everywhere
-    usual = median_of(np.abs(middle[:known] - turned))
-    worst, most = -1, 0.0
+    known, worst, most = 0, -1, 0.0
     for k in range(_SHIFT_BLOCKS, blocks - _SHIFT_BLOCKS):
-        here = abs(shift[k] - turned)
-        if here < np.inf and here > most:
-            worst, most = k, here
+        if sure[k] > 0.0:
+            middle[known] = sure[k] * abs(shift[k] - turned)
+            if middle[known] > most:
+                worst, most = k, middle[known]
+            known += 1
+    usual = median_of(middle[:known])
+    if worst < 0:
+        return -1, 0.0, 0.0, False
+    most, usual = most / sure[worst], usual / sure[worst]
     bends = False
     for k in (worst - _SHIFT_BLOCKS, worst + _SHIFT_BLOCKS):
         if _SHIFT_BLOCKS <= k < blocks - _SHIFT_BLOCKS:

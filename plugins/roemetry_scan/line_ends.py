@@ -31,17 +31,17 @@ def line_ends(x_px: Floats, x_std_px: Floats) -> Floats:
 
     NaN where it reaches the image's side, or no uncertainties are stated.
     """
-    lines, rows = x_px.shape
-    some = slice(None, None, max(1, lines // _LINES))
-    seen = np.flatnonzero(np.isfinite(x_px[some]).mean(axis=0) >= 0.5)
+    rows = x_px.shape[1]
+    some = slice(None, None, max(1, len(x_px) // _LINES))
+    std_px = np.where(np.isfinite(x_px[some]), x_std_px[some], np.nan)
+    std_px = std_px[np.isfinite(std_px).any(axis=1)]
     ends = np.full(2, np.nan)
-    if seen.size < 2:
+    if not std_px.size:
         return ends
+    std_px /= np.nanmedian(std_px, axis=1, keepdims=True)  # noise is judged by lines that were read together
+    seen = np.flatnonzero(np.isfinite(std_px).mean(axis=0) >= 0.5)
     times = np.full(rows, _NOT_SEEN)
-    times[seen] = np.nanmedian(
-        np.where(np.isfinite(x_px[some][:, seen]), x_std_px[some][:, seen], np.nan), axis=0
-    )
-    times[seen] = np.minimum(times[seen] / np.median(times[seen]), _NOT_SEEN)
+    times[seen] = np.minimum(np.nanmedian(std_px[:, seen], axis=0), _NOT_SEEN)
     for k, way in enumerate((1, -1)):
         clear = np.flatnonzero(times[::way] < _DOUBLED)
         if clear.size and clear[0] >= _SIDE_ROWS:

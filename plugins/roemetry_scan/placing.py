@@ -125,7 +125,7 @@ class BeltMotion(Assembler[BeltOptions]):
         figures = ScanFigures(
             lines=len(lines.count), placed=line.size, lost=found.lost, repeated=found.repeated,
             reversed=found.reversed, wraps=found.wraps,
-            unreadable=int(np.count_nonzero(found.used & ~seen)),
+            unreadable=int(np.count_nonzero(found.used & ~seen)), torn=int(np.count_nonzero(~whole)),
             pitch_mm=pitch, pitch_rel_std=relative,
             quantum_mm=float(np.sqrt(motion.mm_per_count @ motion.mm_per_count)),
             first_count=found.first, mm_per_count=_three(motion.mm_per_count),
@@ -290,13 +290,16 @@ def _strayed(std_mm: Floats, belt: Flags) -> Flags:
     than the belt of the same row in other slices.
     """
     strayed = np.empty(belt.shape, np.bool_)
-    for begin in range(0, belt.shape[1], _AT_ONCE):
-        some = slice(begin, begin + _AT_ONCE)
-        stated = np.where(belt[:, some], std_mm[:, some], np.nan)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # a row without belt
-            usual = np.nanmedian(stated, axis=0)
-        np.greater(stated, _STRAY_FACTOR * usual, out=strayed[:, some])
+    usual_mm = np.empty((len(belt), 1))  # of each slice: noise is judged by lines that were read together
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a slice or a row without belt
+        for begin in range(0, len(belt), _AT_ONCE):
+            part = slice(begin, begin + _AT_ONCE)
+            usual_mm[part, 0] = np.nanmedian(np.where(belt[part], std_mm[part], np.nan), axis=1)
+        for begin in range(0, belt.shape[1], _AT_ONCE):
+            some = slice(begin, begin + _AT_ONCE)
+            stated = np.where(belt[:, some], std_mm[:, some], np.nan) / usual_mm
+            np.greater(stated, _STRAY_FACTOR * np.nanmedian(stated, axis=0), out=strayed[:, some])
     return strayed
 
 

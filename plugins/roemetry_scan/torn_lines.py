@@ -7,7 +7,9 @@ beside, as far as an oblique edge moves from line to line, and with where the tw
 to, as at a ridge. What lies above all of that, or below all of it, by more than noise, and by more than half
 of what the lines before and after differ by, belongs to another moment: a part of the frame was another
 one's, or rows of it were lost. Single points may be glare or noise, so that it takes a run of neighbours.
-Such a line is not used; the lines beside it bridge the gap.
+So does a line that shows nothing over a good part of what both of its neighbours see, and one that begins or
+ends rows away from where all around it do: rows were lost. Such a line is not used; the lines beside it
+bridge the gap.
 
 It fails for three wrong lines in a row, which are a step there and a step back, and for walls across the belt
 that are only a line or two thick.
@@ -27,6 +29,11 @@ _OF_STEP = 0.5
 """Of the difference of the lines before and after: beside an edge, the last whole line may lie higher."""
 _RUN = 5
 """Neighbours that lie beside: noise and glare give one or two."""
+_UNSEEN_SHARE = 0.25
+"""Of the points that both neighbours see over the belt. A dark cut across a product is dropped with it: one
+line, which its neighbours stand for."""
+_END_ROWS, _END_SCATTERS = 1.5, 8.0
+"""Rows that a line's end lies away from the middle of those around it, at least, and times their scatter."""
 _AT_ONCE = 128
 """Lines that are looked at together: copies of all of a long scan's heights are megabytes."""
 _SAMPLED = 64
@@ -56,6 +63,30 @@ def torn_lines(height_mm: Floats, oblique_rows: int) -> Flags:
                 around = [height_mm[k] for k in (line - 2, line - 1, line + count, line + count + 1)]
                 if _beside(here[:count], around, limit_mm, oblique_rows):
                     found[line : line + count] = True
+    for first in range(1, lines - 1, _AT_ONCE):
+        part = height_mm[first - 1 : first + _AT_ONCE + 1]
+        both = (part[:-2] > limit_mm) & (part[2:] > limit_mm)
+        unseen = (both & np.isnan(part[1:-1])).sum(axis=1)
+        found[first : first + len(unseen)] |= unseen > np.maximum(_RUN, _UNSEEN_SHARE * both.sum(axis=1))
+    seen = np.isfinite(height_mm)
+    for ends in (seen.argmax(axis=1), rows - 1 - seen[:, ::-1].argmax(axis=1)):
+        found |= _astray(np.where(seen.any(axis=1), ends, np.nan))
+    return found
+
+
+def _astray(end: Floats) -> Flags:
+    """Say which lines' ends (line,) lie away from those of the two lines before and the two after."""
+    around = np.stack([end[:-4], end[1:-3], end[3:-1], end[4:]])
+    off = np.abs(end[2:-2] - np.median(around, axis=0))
+    # a product that hides the end does so in neighbours, too
+    calm = np.ptp(around, axis=0) <= _END_ROWS
+    found = np.zeros(end.shape, np.bool_)
+    known = np.isfinite(off)
+    if known.any():
+        limit = max(
+            _END_ROWS, _END_SCATTERS * float(np.median(off[known & calm])) if (known & calm).any() else 0.0
+        )
+        found[2:-2] = known & calm & (off > limit)
     return found
 
 

@@ -64,14 +64,16 @@ def _beside_mm2(xyz_mm: Floats, mine: Flags, known: Flags, seen: Flags) -> Float
     gap_mm = np.maximum((np.abs(ends - beside) - _STEPS) * step_mm, 0.0)
     inner = np.clip(ends + _SLOPE_POINTS * np.array([[1], [-1]]), 0, points - 1)
     top = z_mm[every, ends]
-    slope = (z_mm[every, inner] - top) / np.abs(y_mm[every, inner] - y_mm[every, ends])
-    slope = np.where(mine[every, inner], np.maximum(slope, 0.0), 0.0)
+    run_mm = np.abs(y_mm[every, inner] - y_mm[every, ends])
+    sloped = some & mine[every, inner] & (run_mm > 0.0)
+    rise_mm = np.where(sloped, np.maximum(z_mm[every, inner] - top, 0.0), 0.0)
+    slope = rise_mm / np.where(sloped, run_mm, 1.0)
     arc_mm = radius_mm * (1.0 - slope / np.hypot(1.0, slope))
     with np.errstate(divide="ignore", invalid="ignore"):
         long_mm = np.minimum(gap_mm, np.where(slope < _STEEP, top / slope, arc_mm))
-    lit = some & seen[every, ends] & np.isfinite(long_mm)
+    long_mm = np.where(some, long_mm, 0.0)
+    lit = some & seen[every, ends]
     usual_mm = float(np.median(long_mm[lit])) if lit.any() else 0.0
     long_mm = np.where(lit, long_mm, np.minimum(long_mm, usual_mm))
-    area = long_mm * (top - 0.5 * np.minimum(slope * long_mm, top))
-    total: Floats = np.where(some, np.where(area > 0.0, area, 0.0).sum(axis=0), 0.0)
-    return total
+    area = np.where(some, long_mm * (top - 0.5 * np.minimum(slope * long_mm, top)), 0.0)
+    return np.asarray(np.maximum(area, 0.0).sum(axis=0))

@@ -23,6 +23,8 @@ from roemetry.records.view import View
 
 _PIXELS_AT_ONCE = 3_000_000
 """Of the frames that are given at once: more saves no time and fits no cache."""
+_DAMAGED_MAX = 0.02
+"""Share of frames, of more than one: what damages more of them damages others where nothing shows it."""
 
 
 def gather(
@@ -45,7 +47,7 @@ def gather(
     Raises
     ------
     StageError
-        No line could be followed; with what was said of the first.
+        No line could be followed, or several frames are damaged; with what was said of the first.
     """
     rows, count = calibration.image_size[0], calibration.stripe_count
     shape = (len(lines.count) * count, rows)
@@ -54,7 +56,7 @@ def gather(
     apart = _rows_apart(stages, count)
     at_once = 1 if apart is None else max(1, _PIXELS_AT_ONCE // math.prod(calibration.image_size))
     first_fault: Exception | None = None
-    followed, reach = 0, 0.0
+    followed, damaged, reach = 0, 0, 0.0
     for begin in range(0, len(lines.count), at_once):
         frames: dict[int, Frame] = {}
         for line in range(begin, min(begin + at_once, len(lines.count))):
@@ -62,6 +64,7 @@ def gather(
                 frames[line] = _read(lines, line, ready, calibration.image_size)
             except RoemetryError as error:
                 first_fault = first_fault or error
+                damaged += 1
         groups = [frames] if _alike(frames) else [{line: frame} for line, frame in frames.items()]
         while groups:
             group = groups.pop(0)
@@ -82,6 +85,11 @@ def gather(
             x_px[here], x_std_px[here], seen[here] = np.where(known, of_lines, np.nan), std_px, known
             reach = found.correlation_rows
             followed += len(group)
+    if max(1.0, _DAMAGED_MAX * len(lines.count)) < damaged < len(lines.count):
+        raise StageError(
+            f"{damaged} of {len(lines.count)} frames cannot be used; the first: {first_fault}",
+            hint="others may be damaged and not show it: look at the frames, at cable and frame grabber",
+        )
     if not followed:
         raise StageError(f"no line of the scan could be followed; of the first: {first_fault}")
     unknown = np.broadcast_to(np.nan, shape)

@@ -27,6 +27,17 @@ def test_a_whole_frame_with_a_line_is_no_join(x_px: float, rng: np.random.Genera
     check_joins(Frame(frame))  # the same line goes on: nothing breaks off
 
 
+def test_noise_in_a_dark_frame_is_no_join(rng: np.random.Generator) -> None:
+    """Noise as large as a step has to be; black clips half of it."""
+    for _ in range(20):
+        light = 4.0 + 95.0 * np.exp(-0.5 * ((np.arange(200) - 99.3) / 1.6) ** 2)
+        grey = np.clip(np.rint(light + rng.normal(0.0, 7.0, (200, 200))), 0, 255).astype(np.uint8)
+        check_joins(Frame(grey))
+    grey[:, 99:] = np.roll(grey, 40, axis=1)[:, 99:]
+    with pytest.raises(DataError, match="between the columns|between the rows"):
+        check_joins(Frame(grey))
+
+
 @pytest.mark.parametrize("share", [0.06, 0.2, 1.0])
 @pytest.mark.parametrize("together", [True, False])
 def test_columns_that_are_joined_in_some_rows_are_found(

@@ -152,6 +152,18 @@ def test_lines_that_lean_show_rows_that_were_lost_on_a_level_product(
         assert abs(found.row - 199) < 16 and abs(found.jump_px - 0.15) < 0.05
 
 
+def test_few_stripes_beside_a_product_shift_by_chance_farther_than_many(rng: np.random.Generator) -> None:
+    """Speckle displaces three stripes together by more than it does fifteen."""
+    rig = LinearRig(rows=480, stripes=15)
+    lines = np.ascontiguousarray(rig.rest_px().T)
+    for _ in range(20):
+        grain = gaussian_filter1d(rng.normal(0.0, 1.0, (rig.stripes, rig.rows)), 3.0, axis=1)
+        x_px = rig.rest_px() + 0.12 * grain / grain.std()
+        x_px[3:, 180:300] = np.nan
+        peaks = rig.peaks(x_px).peaks
+        assert tear_of(peaks.row_start, peaks.x_px, peaks.amplitude, lines, 12.0) is None
+
+
 @pytest.mark.parametrize(("lost_rows", "torn"), [(5, True), (5, False), (0, False)])
 def test_a_small_shift_is_a_tear_where_the_grain_breaks_off_too(
     lost_rows: int, torn: bool, rng: np.random.Generator

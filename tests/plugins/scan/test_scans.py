@@ -13,6 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from benchmarks.scans import (
     PYRAMID,
@@ -33,6 +34,7 @@ from roemetry.run.api import Recipe as Running
 from roemetry.run.open_parts import split_products
 from roemetry_pinhole.pinhole_plane import PinholePlane
 from roemetry_scan.dense import DenseSlices
+from roemetry_scan.line_ends import line_ends
 from roemetry_scan.placing import BeltMotion
 from roemetry_scan.scan_source import BeltScan
 from roemetry_scan.torn_lines import torn_lines
@@ -103,6 +105,61 @@ def test_a_belt_that_climbs_lies_where_it_was_calibrated(seen: Scan) -> None:
     figures = placed(*seen, replace(RIG, motion=replace(MOTION, mm_per_count=way))).scan
     assert figures is not None
     assert figures.belt_off_rel_std < 1e-4
+
+
+def ending(stripes: StripeMap, first: float, last: float) -> StripeMap:
+    """Give the stripes of a line of light that ends at these rows, under a lens that blurs by 0.7 px."""
+    row = np.arange(stripes.rows)
+    light = ndtr((row - first) / 0.7) * ndtr((last - row) / 0.7)
+    x_px = np.where(light > 0.15, stripes.x_px, np.nan)
+    unseen = np.isnan(x_px)
+    return replace(
+        stripes,
+        x_px=x_px,
+        x_std_px=np.where(unseen, np.nan, 0.02 / np.maximum(light, 0.1)),
+        product=np.where(unseen, np.int16(-1), stripes.product),
+        seen=stripes.seen & ~unseen,
+    )
+
+
+@pytest.mark.parametrize("first", [9.0, 9.3, 9.6])
+def test_a_line_ends_where_half_of_its_light_is_left(seen: Scan, first: float) -> None:
+    found = ending(seen[0], first, 150.0 - first)
+    ends = line_ends(found.x_px, found.x_std_px)
+    assert np.allclose(ends, [first, 150.0 - first], atol=0.25)
+    whole = line_ends(seen[0].x_px, np.full_like(seen[0].x_px, 0.02))
+    assert np.isnan(whole).all()  # it reaches the image's sides
+
+
+@pytest.mark.parametrize("longer", [0.0, 0.004, -0.004, 0.02])
+def test_a_line_that_is_longer_than_at_calibration_widens_the_interval_or_refuses(
+    seen: Scan, longer: float
+) -> None:
+    stripes, lines = seen
+    calibrated = ending(stripes, 10.0, 150.0)
+    ends = line_ends(calibrated.x_px, calibrated.x_std_px)
+    rig = replace(RIG, motion=replace(MOTION, line_ends_rows=ends))
+    other = ending(stripes, 10.0 - 70.0 * longer, 150.0 + 70.0 * longer)
+    if longer > 0.01:
+        with pytest.raises(StageError, match=r"the line of light on the belt is [12].\d% longer"):
+            placed(other, lines, rig)
+        return
+    profiles = placed(other, lines, rig)
+    assert profiles.scan is not None
+    # areas change by twice as much, and the more, the likelier; ends are known to a tenth of a row
+    expected = 2.0 * np.hypot(longer / np.sqrt(2.0), 0.1 * np.sqrt(2.0) / 140.0)
+    assert profiles.scan.line_length_rel_std == pytest.approx(expected, abs=0.0025)
+    assert ("line-length" in [reason.code for reason in profiles.reasons]) == (longer != 0.0)
+    (product,) = split_products(profiles, (), rig, "scan")
+    budget = DenseSlices().estimate(product).visible_mm3.budget
+    assert budget["length of the line"] == pytest.approx(
+        profiles.scan.line_length_rel_std * volume((other, lines), rig), rel=1e-3
+    )
+
+
+def test_a_line_without_ends_says_nothing_of_its_length(seen: Scan) -> None:
+    figures = placed(*seen).scan
+    assert figures is not None and np.isnan(figures.line_length_rel_std)
 
 
 @pytest.mark.parametrize("together", [1, 2])
@@ -247,12 +304,13 @@ def test_another_body_than_the_one_described_is_refused(seen: Scan) -> None:
 
 def test_a_calibration_keeps_its_motion(tmp_path: Path) -> None:
     per_parameter = np.arange(3.0 * len(RIG.covariance)).reshape(3, -1)
-    motion = Motion(np.array([0.02, 0.0, 1e-5]), np.eye(3), per_parameter)
+    motion = Motion(np.array([0.02, 0.0, 1e-5]), np.eye(3), per_parameter, np.array([5.25, 223.5]))
     replace(RIG, motion=motion).save(tmp_path / "with.yaml")
     again = Calibration.load(tmp_path / "with.yaml").motion
     assert again is not None
     assert np.array_equal(again.mm_per_count, motion.mm_per_count)
     assert np.array_equal(again.per_parameter, motion.per_parameter)
+    assert np.array_equal(again.line_ends_rows, motion.line_ends_rows)
     replace(RIG, motion=None).save(tmp_path / "without.yaml")
     assert Calibration.load(tmp_path / "without.yaml").motion is None
 
