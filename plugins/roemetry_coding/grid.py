@@ -44,6 +44,10 @@ _STEP_PX = 3.0
 """From row to row, by which a line that goes on does not move."""
 _GAP_ROWS = 8
 """Longest part of a line that is not seen and behind which it goes on: a crossing takes five to eight."""
+_REACH_ROWS = 4
+"""Behind its end, that a line still crosses another: half of what a crossing takes."""
+_END_ROWS = 3
+"""From its end, within which a line contradicts none that it crosses: half of its width."""
 _FOLLOWED_PX = 1.0
 """Beside where a line goes on straight, that its next peak lies: at a rim it bends by half a pixel a row."""
 _ALONE_PX = 4.0
@@ -172,7 +176,7 @@ class _Met:
 
 def _crossings(upright: StripeMap, across: StripeMap, pair: _Families) -> _Met:
     """Find where labelled lines cross, and whether their heights agree there."""
-    upright_px, across_px = _whole(upright), _whole(across)
+    upright_px, across_px = _whole(upright, _REACH_ROWS), _whole(across, _REACH_ROWS)
     below, at = _beside(upright_px, across_px)
     with np.errstate(invalid="ignore"):
         crossed = (below[:, :, :-1] > 0.0) != (below[:, :, 1:] > 0.0)
@@ -184,16 +188,46 @@ def _crossings(upright: StripeMap, across: StripeMap, pair: _Families) -> _Met:
     x_px = (1.0 - share) * upright_px[stripe, row] + share * upright_px[stripe, row + 1]
     xy_px = np.column_stack([x_px, row + share])
     off = pair.upright_mm(xy_px, stripe) - pair.across_mm(xy_px, line)
-    return _Met(stripe, row, line, at[stripe, row], np.abs(off) < _SAME * pair.worth_mm)
+    agree, column = np.abs(off) < _SAME * pair.worth_mm, at[stripe, row]
+    # beside a line's end may be another surface, which contradicts nothing
+    inside = _inner(upright)[stripe, row] & _inner(across)[line, column]
+    return _Met(*(one[agree | inside] for one in (stripe, row, line, column, agree)))
 
 
-def _whole(stripes: StripeMap) -> Floats:
-    """Give where lines were seen on products and on the belt, with breaks filled in each."""
+def _whole(stripes: StripeMap, reach_rows: int) -> Floats:
+    """Give where lines were seen on products and on the belt, with breaks filled and ends drawn out."""
     on, belt = (
-        _over_gaps(np.where(stripes.seen & where, stripes.x_px, np.nan))
+        _drawn_out(_over_gaps(np.where(stripes.seen & where, stripes.x_px, np.nan)), reach_rows)
         for where in (stripes.product > 0, stripes.product <= 0)
     )
     return np.where(np.isfinite(on), on, belt)
+
+
+def _inner(stripes: StripeMap) -> Flags:
+    """Say (stripe, row) where a line goes on both ways, on the product or on the belt."""
+    there, on = np.isfinite(_whole(stripes, 0)), stripes.product > 0
+    inner = there.copy()
+    for step in (-_END_ROWS, _END_ROWS):
+        inner &= np.roll(there, step, axis=1) & (np.roll(on, step, axis=1) == on)
+    return inner
+
+
+def _drawn_out(x_px: Floats, reach_rows: int) -> Floats:
+    """Give lines that go on straight for so many rows behind their ends."""
+    drawn = x_px.copy()
+    for way in (1, -1):
+        at, there = x_px[:, ::way], drawn[:, ::way]
+        ends = np.isfinite(at[:, _BACK_ROWS:-1] + at[:, : -_BACK_ROWS - 1]) & np.isnan(
+            at[:, _BACK_ROWS + 1 :]
+        )
+        line, end = np.nonzero(ends)
+        end = end + _BACK_ROWS
+        slope = (at[line, end] - at[line, end - _BACK_ROWS]) / _BACK_ROWS
+        for step in range(1, reach_rows + 1):
+            row = np.minimum(end + step, at.shape[1] - 1)
+            free = np.isnan(at[line, row])
+            there[line[free], row[free]] = (at[line, end] + step * slope)[free]
+    return drawn
 
 
 def _over_gaps(x_px: Floats) -> Floats:
@@ -377,13 +411,13 @@ def _kept(
     """
     out, many = np.zeros(stripes.x_px.shape, np.bool_), 0
     for on, least in ((stripes.product > 0, 1.0), (stripes.product <= 0, 0.0)):
-        run = _runs(_over_gaps(np.where(on, stripes.x_px, np.nan)))
+        run = _runs(_drawn_out(_over_gaps(np.where(on, stripes.x_px, np.nan)), _REACH_ROWS))
         at = run[stripe, row]
         counted = at >= 0
         count = int(run.max(initial=-1)) + 1
         votes = np.bincount(at[counted], np.where(agree, 1.0, -1.0)[counted], minlength=count)
         bad = votes < least
-        out |= (run >= 0) & np.append(bad, False)[run]
+        out |= on & (run >= 0) & np.append(bad, False)[run]
         many += int(bad.sum())
     if not many:
         return stripes, 0
