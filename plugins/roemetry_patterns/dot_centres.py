@@ -184,9 +184,9 @@ def _speckle_sums(
     """Give three sums, of squares and of products of neighbours each.
 
     Of residuals (2,), of what noise makes of them (2,), and of what speckle of contrast 1 does,
-    (correlation, 2). Both kinds are residuals times a matrix B, diagonal or of neighbours. With A = 1 − J H, H = N⁻¹JᵀW, a pair of
-    pixels counts (AᵀBA)ᵢⱼ = Bᵢⱼ − Pᵢ·Hⱼ − Hᵢ·Pⱼ + Hᵢ·K Hⱼ, where P = BJ and K = JᵀBJ: nothing of the size
-    of A is multiplied.
+    (correlation, 2). Both kinds are residuals times a matrix B, diagonal or of neighbours. With A = 1 − J H,
+    H = N⁻¹JᵀW, a pair of pixels counts (AᵀBA)ᵢⱼ = Bᵢⱼ − Pᵢ·Hⱼ − Hᵢ·Pⱼ + Hᵢ·K Hⱼ, where P = BJ and K = JᵀBJ:
+    nothing of the size of A is multiplied.
     """
     seen, dark, alike = np.zeros(2), np.zeros(2), np.zeros((correlations.size, 2))
     rows, columns = image.shape
