@@ -191,7 +191,8 @@ def _crossings(upright: StripeMap, across: StripeMap, pair: _Families) -> _Met:
     agree, column = np.abs(off) < _SAME * pair.worth_mm, at[stripe, row]
     # beside a line's end may be another surface, which contradicts nothing
     inside = _inner(upright)[stripe, row] & _inner(across)[line, column]
-    return _Met(*(one[agree | inside] for one in (stripe, row, line, column, agree)))
+    kept = agree | inside
+    return _Met(stripe[kept], row[kept], line[kept], column[kept], agree[kept])
 
 
 def _whole(stripes: StripeMap, reach_rows: int) -> Floats:
@@ -418,8 +419,8 @@ def _kept(
         votes = np.bincount(at[counted], np.where(agree, 1.0, -1.0)[counted], minlength=count)
         bad = votes < least
         out |= on & (run >= 0) & np.append(bad, False)[run]
-        many += int(bad.sum())
-    if not many:
+        many += np.unique(run[stripes.seen & on & (run >= 0) & np.append(bad, False)[run]]).size
+    if not out.any():
         return stripes, 0
     label = stripes.peak_stripe.copy()
     given = np.flatnonzero(label >= 0)
