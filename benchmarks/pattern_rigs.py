@@ -122,7 +122,8 @@ class Rig:
         frames = self._scene([]).make().calibration_frames(self._seed)
         for kind, pose, place in _board_images():
             _save(self._folder / "calibration" / place, frames[kind][pose])
-        shutil.copy(RECIPES[self._pattern] / "rig.yaml", self._folder)
+        for name in ("rig.yaml", "pattern.yaml"):
+            shutil.copy(RECIPES[self._pattern] / name, self._folder)
         result = CliRunner().invoke(app, ["calibrate", str(self._folder / "rig.yaml")])
         print(f"{self.name}: {result.output}", flush=True)
         if result.exit_code:

@@ -7,6 +7,10 @@ is worth: how far the height moves from a plane to the next one. So a crossing a
 less than a share of that, far more than noise and far less than a label. A run of a line at more of whose
 crossings the heights differ than agree is refused, and on a product also one that no crossing confirms.
 
+Peaks that go on where a run on a product ends, in its direction, are its own: `planes` refuses the last
+ones before a rim, for a line that turns away from its neighbours may be another one. What a rest line of the
+belt explains is not followed, so that no line is followed from the product's rim onto the belt.
+
 Peaks that `planes` refused are asked again: a run of them that crosses labelled lines of the other family
 has their heights there. Where all its crossings name one plane, and the next best lies far off, it is that.
 
@@ -17,6 +21,7 @@ constraint is that of Salvi, Pagès, Batlle (2004), Pattern Recognition 37:827, 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +33,7 @@ from roemetry.records.stripes import AMBIGUOUS, NOTHING
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, Coder
 from roemetry_coding.planes import Planes, PlanesOptions
+from roemetry_kernels.compiling import kernel
 from roemetry_kernels.consistency import required_calibration
 
 _SAME = 0.12
@@ -36,6 +42,20 @@ _OTHER = 0.5
 """Of the same: beyond it the next best plane is another."""
 _STEP_PX = 3.0
 """From row to row, by which a line that goes on does not move."""
+_GAP_ROWS = 8
+"""Longest part of a line that is not seen and behind which it goes on: a crossing takes five to eight."""
+_REACH_ROWS = 4
+"""Behind its end, that a line still crosses another: half of what a crossing takes."""
+_END_ROWS = 3
+"""From its end, within which a line contradicts none that it crosses: half of its width."""
+_FOLLOWED_PX = 1.0
+"""Beside where a line goes on straight, that its next peak lies: at a rim it bends by half a pixel a row."""
+_ALONE_PX = 4.0
+"""From a peak that is followed to the next one in its row: two widths of a line."""
+_REST_PX = 1.5
+"""Beside a rest line, that a peak may be of the belt."""
+_BACK_ROWS = 4
+"""Over which the direction of a line is taken: noise moves it by 0.02 px a row, its bend by a tenth."""
 _STRAY_ROWS = 3
 """Longest piece that is taken for a shadow's edge."""
 _ON_LINE_PX = 1.0
@@ -76,7 +96,8 @@ class GridPlanes(Coder[PlanesOptions]):
             across = planes.code(peaks.across, calibration.across)
         except StageError as error:
             raise StageError(f"lines across: {error.message}", hint=error.hint) from error
-        upright, across = _without_strays(upright), _without_strays(across)
+        upright = _followed(_without_strays(upright), peaks)
+        across = _followed(_without_strays(across), peaks.across)
         pair = _Families(calibration, calibration.across)
         met = _crossings(upright, across, pair)
         if not met.agree.size:
@@ -155,7 +176,8 @@ class _Met:
 
 def _crossings(upright: StripeMap, across: StripeMap, pair: _Families) -> _Met:
     """Find where labelled lines cross, and whether their heights agree there."""
-    below, at = _beside(upright.x_px, across)
+    upright_px, across_px = _whole(upright, _REACH_ROWS), _whole(across, _REACH_ROWS)
+    below, at = _beside(upright_px, across_px)
     with np.errstate(invalid="ignore"):
         crossed = (below[:, :, :-1] > 0.0) != (below[:, :, 1:] > 0.0)
         crossed &= np.isfinite(below[:, :, :-1] + below[:, :, 1:])
@@ -163,32 +185,193 @@ def _crossings(upright: StripeMap, across: StripeMap, pair: _Families) -> _Met:
     line, stripe, row = np.nonzero(crossed)
     first, second = below[line, stripe, row], below[line, stripe, row + 1]
     share = first / (first - second)
-    x_px = (1.0 - share) * upright.x_px[stripe, row] + share * upright.x_px[stripe, row + 1]
+    x_px = (1.0 - share) * upright_px[stripe, row] + share * upright_px[stripe, row + 1]
     xy_px = np.column_stack([x_px, row + share])
     off = pair.upright_mm(xy_px, stripe) - pair.across_mm(xy_px, line)
-    return _Met(stripe, row, line, at[stripe, row], np.abs(off) < _SAME * pair.worth_mm)
+    agree, column = np.abs(off) < _SAME * pair.worth_mm, at[stripe, row]
+    # beside a line's end may be another surface, which contradicts nothing
+    inside = _inner(upright)[stripe, row] & _inner(across)[line, column]
+    kept = agree | inside
+    return _Met(stripe[kept], row[kept], line[kept], column[kept], agree[kept])
 
 
-def _beside(x_px: Floats, across: StripeMap) -> tuple[Floats, Integers]:
+def _whole(stripes: StripeMap, reach_rows: int) -> Floats:
+    """Give where lines were seen on products and on the belt, with breaks filled and ends drawn out."""
+    on, belt = (
+        _drawn_out(_over_gaps(np.where(stripes.seen & where, stripes.x_px, np.nan)), reach_rows)
+        for where in (stripes.product > 0, stripes.product <= 0)
+    )
+    return np.where(np.isfinite(on), on, belt)
+
+
+def _inner(stripes: StripeMap) -> Flags:
+    """Say (stripe, row) where a line goes on both ways, on the product or on the belt."""
+    there, on = np.isfinite(_whole(stripes, 0)), stripes.product > 0
+    inner = there.copy()
+    for step in (-_END_ROWS, _END_ROWS):
+        inner &= np.roll(there, step, axis=1) & (np.roll(on, step, axis=1) == on)
+    return inner
+
+
+def _drawn_out(x_px: Floats, reach_rows: int) -> Floats:
+    """Give lines that go on straight for so many rows behind their ends."""
+    drawn = x_px.copy()
+    for way in (1, -1):
+        at, there = x_px[:, ::way], drawn[:, ::way]
+        ends = np.isfinite(at[:, _BACK_ROWS:-1] + at[:, : -_BACK_ROWS - 1]) & np.isnan(
+            at[:, _BACK_ROWS + 1 :]
+        )
+        line, end = np.nonzero(ends)
+        end = end + _BACK_ROWS
+        slope = (at[line, end] - at[line, end - _BACK_ROWS]) / _BACK_ROWS
+        for step in range(1, reach_rows + 1):
+            row = np.minimum(end + step, at.shape[1] - 1)
+            free = np.isnan(at[line, row])
+            there[line[free], row[free]] = (at[line, end] + step * slope)[free]
+    return drawn
+
+
+def _over_gaps(x_px: Floats) -> Floats:
+    """Give the places of lines with breaks filled that crossings make."""
+    filled, run = x_px.copy(), _runs(x_px, _GAP_ROWS)
+    for line, number in zip(filled, run, strict=True):
+        there = np.flatnonzero(number >= 0)
+        broken = np.flatnonzero((np.diff(there) > 1) & (np.diff(number[there]) == 0))
+        for one, other in zip(there[broken], there[broken + 1], strict=True):
+            line[one:other] = np.linspace(line[one], line[other], other - one, endpoint=False)
+    return filled
+
+
+def _beside(x_px: Floats, across_px: Floats) -> tuple[Floats, Integers]:
     """Give (line, stripe, row) px that lines across lie below places (stripe, row), and their column.
 
     The column counts as rows of the turned image do.
     """
-    columns = across.rows
+    columns = across_px.shape[1]
     at = columns - 1 - np.rint(np.nan_to_num(x_px, nan=-1.0)).astype(np.int64)
     inside = np.isfinite(x_px) & (at >= 0) & (at < columns)
     at = np.clip(at, 0, columns - 1)
     row = np.arange(x_px.shape[1])
-    return np.where(inside, across.x_px[:, at] - row, np.nan), at
+    return np.where(inside, across_px[:, at] - row, np.nan), at
 
 
-def _runs(x_px: Floats) -> Integers:
-    """Give (stripe, row) the number of the run of rows without break or step; −1 where nothing is."""
-    there = np.isfinite(x_px)
+def _runs(x_px: Floats, gap_rows: int = 0) -> Integers:
+    """Give (stripe, row) the number of the run of rows without break or step; −1 where nothing is.
+
+    Breaks of as many as `gap_rows`, behind which the stripe lies as near as a step, are none.
+    """
+    there, rows = np.isfinite(x_px), np.arange(x_px.shape[1])
+    before = np.maximum.accumulate(np.where(there, rows, -1), axis=1)
+    before = np.concatenate([np.full((len(x_px), 1), -1), before[:, :-1]], axis=1)
+    step = np.abs(x_px - np.take_along_axis(x_px, np.maximum(before, 0), axis=1))
     with np.errstate(invalid="ignore"):
-        on = np.abs(np.diff(x_px, axis=1, prepend=np.nan)) < _STEP_PX
+        on = (before >= 0) & (rows - before <= 1 + gap_rows) & (step < _STEP_PX * (1.0 + 0.25 * gap_rows))
     number = np.cumsum(there & ~on).reshape(x_px.shape) - 1
     return np.where(there, number, -1)
+
+
+def _followed(stripes: StripeMap, peaks: Peaks) -> StripeMap:
+    """Label refused peaks that go on where a run on a product ends."""
+    starts = np.searchsorted(peaks.row, np.arange(stripes.rows + 1))
+    stripe, product = _follow(
+        stripes.x_px, stripes.seen.copy(), stripes.product, starts, peaks.x_px, stripes.peak_stripe,
+        stripes.rest_px,
+    )  # fmt: skip
+    more = np.flatnonzero(stripe >= 0)
+    if not more.size:
+        return stripes
+    place = stripe[more], peaks.row[more]
+    fields = _copies(stripes)
+    fields["x_px"][place], fields["x_std_px"][place] = peaks.x_px[more], peaks.x_std_px[more]
+    fields["product"][place], fields["ambiguous"][place] = product[more], False
+    fields["seen"][place], fields["margin"][place] = True, np.nan
+    fields["peak_stripe"][more] = stripe[more]
+    # what is bridged reaches to what is now seen
+    for x_px, seen in zip(fields["x_px"], fields["seen"], strict=True):
+        gap = np.flatnonzero(np.isfinite(x_px) & ~seen)
+        if gap.size:
+            ends = np.flatnonzero(seen)
+            x_px[gap] = np.interp(gap, ends, x_px[ends])
+    return replace(stripes, **fields)
+
+
+_CHANGED = ("x_px", "x_std_px", "product", "seen", "margin", "ambiguous", "peak_stripe")
+
+
+def _copies(stripes: StripeMap) -> dict[str, Any]:
+    return {name: getattr(stripes, name).copy() for name in _CHANGED}
+
+
+@kernel
+def _follow(
+    x_px: Floats, seen: Flags, product: Integers, starts: Integers, peak_px: Floats, label: Integers,
+    rest_px: Floats,
+) -> tuple[Integers, Integers]:  # fmt: skip
+    """Give (peak,) stripe and product of peaks that are followed, −1 of others; marks them as `seen`.
+
+    `starts` (row + 1,) says where the peaks of each row begin.
+    """
+    count, rows = x_px.shape
+    stripe, number = np.full(peak_px.size, -1), np.full(peak_px.size, -1)
+    waiting = np.empty(_GAP_ROWS + 1, np.int64)
+    known_row, known_px = np.empty(_BACK_ROWS, np.int64), np.empty(_BACK_ROWS)
+    for s in range(count):
+        for end in range(rows):
+            for way in (1, -1):
+                beyond = end + way
+                if not (seen[s, end] and product[s, end] > 0 and 0 <= beyond < rows) or seen[s, beyond]:
+                    continue
+                known = 0
+                for row in range(end - way * (_BACK_ROWS - 1), end + way, way):
+                    if 0 <= row < rows and seen[s, row] and product[s, row] > 0:
+                        known_row[known], known_px[known] = row, x_px[s, row]
+                        known += 1
+                if known < _BACK_ROWS:
+                    continue
+                last, row, held = end, beyond, 0
+                while 0 <= row < rows and abs(row - last) <= _GAP_ROWS and not seen[s, row]:
+                    slope = (known_px[-1] - known_px[0]) / (known_row[-1] - known_row[0])
+                    expected_px = known_px[-1] + slope * (row - last)
+                    best, near, next_px = _nearest_two(peak_px, starts[row], starts[row + 1], expected_px)
+                    # of the stripe itself are pieces too short to be believed alone
+                    free = near < _FOLLOWED_PX and (label[best] < 0 or label[best] == s) and stripe[best] < 0
+                    if free and next_px > _ALONE_PX:
+                        waiting[held] = best
+                        held += 1
+                        if _off_lines(rest_px[:, row], peak_px[best]) >= _REST_PX:
+                            # what has passed a rest line, and goes on behind it, was no belt
+                            for peak in waiting[:held]:
+                                stripe[peak], number[peak] = s, product[s, end]
+                            last, held = row, 0
+                            seen[s, row] = True
+                            known_row[:-1], known_px[:-1] = known_row[1:].copy(), known_px[1:].copy()
+                            known_row[-1], known_px[-1] = row, peak_px[best]
+                    row += way
+    return stripe, number
+
+
+@kernel
+def _off_lines(lines_px: Floats, at_px: float) -> float:
+    """Give how far the nearest line is."""
+    off = np.inf
+    for line_px in lines_px:
+        if abs(line_px - at_px) < off:
+            off = abs(line_px - at_px)
+    return off
+
+
+@kernel
+def _nearest_two(peak_px: Floats, first: int, end: int, expected_px: float) -> tuple[int, float, float]:
+    """Give the nearest of a row's peaks to where one is expected, how far it is, and the next one from it."""
+    best, near = -1, np.inf
+    for k in range(first, end):
+        if abs(peak_px[k] - expected_px) < near:
+            best, near = k, abs(peak_px[k] - expected_px)
+    apart = np.inf
+    for k in range(first, end):
+        if k != best:
+            apart = min(apart, abs(peak_px[k] - peak_px[best]))
+    return best, near, apart
 
 
 def _without_strays(stripes: StripeMap) -> StripeMap:
@@ -229,15 +412,15 @@ def _kept(
     """
     out, many = np.zeros(stripes.x_px.shape, np.bool_), 0
     for on, least in ((stripes.product > 0, 1.0), (stripes.product <= 0, 0.0)):
-        run = _runs(np.where(on, stripes.x_px, np.nan))
+        run = _runs(_drawn_out(_over_gaps(np.where(on, stripes.x_px, np.nan)), _REACH_ROWS))
         at = run[stripe, row]
         counted = at >= 0
         count = int(run.max(initial=-1)) + 1
         votes = np.bincount(at[counted], np.where(agree, 1.0, -1.0)[counted], minlength=count)
         bad = votes < least
-        out |= (run >= 0) & np.append(bad, False)[run]
-        many += int(bad.sum())
-    if not many:
+        out |= on & (run >= 0) & np.append(bad, False)[run]
+        many += np.unique(run[stripes.seen & on & (run >= 0) & np.append(bad, False)[run]]).size
+    if not out.any():
         return stripes, 0
     label = stripes.peak_stripe.copy()
     given = np.flatnonzero(label >= 0)
@@ -273,10 +456,7 @@ def _asked_again(upright: StripeMap, peaks: Peaks, across: StripeMap, pair: _Fam
     near = np.sort(off, axis=1)
     sure = (near[:, 0] < _SAME) & (near[:, 1:2] > _OTHER).all(axis=1)
     product = across.product[line, at[which]]
-    fields = {
-        name: getattr(upright, name).copy() for name in ("x_px", "x_std_px", "product", "seen", "margin")
-    }
-    label, ambiguous = upright.peak_stripe.copy(), upright.ambiguous.copy()
+    fields = _copies(upright)
     for number in np.unique(run[which]):
         mine = run[which] == number
         named = np.unique(best[mine])
@@ -288,9 +468,9 @@ def _asked_again(upright: StripeMap, peaks: Peaks, across: StripeMap, pair: _Fam
         fields["x_px"][place], fields["x_std_px"][place] = x_px[members], peaks.x_std_px[open_[members]]
         fields["product"][place] = np.bincount(np.maximum(product[mine], 0)).argmax()
         fields["seen"][place], fields["margin"][place] = True, np.nan
-        ambiguous[place] = False
-        label[open_[members]] = named[0]
-    return replace(upright, **fields, ambiguous=ambiguous, peak_stripe=label)
+        fields["ambiguous"][place] = False
+        fields["peak_stripe"][open_[members]] = named[0]
+    return replace(upright, **fields)
 
 
 def _chained(row: Integers, x_px: Floats) -> Integers:

@@ -146,6 +146,8 @@ def fitted_dots(image: Floats, white: float, starts: Floats, noise: float, gain:
     if kept.size:
         kept = kept[np.unique(np.linspace(0, kept.size - 1, _SAMPLE).astype(np.int64))]
         given[2:] = _speckle(image, told[kept], radius[some][kept], given)
+        # most are of this shape: two or three steps are left
+        values[:, 4:] = np.median(told[kept, 4:], axis=0)
     return Fit(*_fit(image, white, values, radius, given, _ROUNDS))
 
 
@@ -167,44 +169,107 @@ def _speckle(image: Floats, values: Floats, radius: Integers, given: Floats) -> 
     in neighbours than of white noise. So squares and products of neighbours' residuals are compared with what
     is expected of noise alone, and of speckle of each correlation.
     """
-    seen, dark = np.zeros(2), np.zeros(2)
-    alike = np.zeros((_CORRELATIONS.size, 2))
-    for p, r in zip(values, radius.tolist(), strict=True):
-        x0, y0 = int(np.rint(p[0])), int(np.rint(p[1]))
-        y, x = np.mgrid[max(y0 - r, 0) : y0 + r + 1, max(x0 - r, 0) : x0 + r + 1]
-        inside = ((x - x0) ** 2 + (y - y0) ** 2 <= r * r) & (y < image.shape[0]) & (x < image.shape[1])
-        x, y = x[inside], y[inside]
-        u, v = x - p[0], y - p[1]
-        shape = np.linalg.inv(np.array([[p[4], p[5]], [p[5], p[6]]]))
-        tu, tv = shape[0, 0] * u + shape[0, 1] * v, shape[1, 0] * u + shape[1, 1] * v
-        form = np.exp(-0.5 * (u * tu + v * tv))
-        m = p[2] * form
-        slope = np.column_stack(
-            [m * tu, m * tv, form, 1.0 + 0.0 * m, 0.5 * m * tu**2, m * tu * tv, 0.5 * m * tv**2]
-        )
-        variance = given[0] + given[1] * m
-        weighted = slope / variance[:, None]
-        normal = slope.T @ weighted
-        if np.linalg.matrix_rank(normal) < len(normal):
-            continue  # what is no dot, but an edge or a line, leaves numbers of the fit open
-        left = np.eye(m.size) - slope @ np.linalg.solve(normal, weighted.T)
-        off = image[y, x] - p[3] - m
-        light = m / p[2]
-        square = light**2
-        apart = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
-        beside = np.where(apart == 1, light[:, None] * light, 0.0)
-        seen += square @ off**2, off @ beside @ off
-        # Σᵢⱼ Bᵢⱼ (AΣAᵀ)ᵢⱼ = Σᵢⱼ (AᵀBA)ᵢⱼ Σᵢⱼ: two products instead of two for each Σ
-        weights = np.stack([left.T @ (square[:, None] * left), left.T @ beside @ left])
-        dark += np.einsum("kii,i->k", weights, variance)
-        weights *= m[:, None] * m
-        of_distance = np.stack([np.bincount(apart.ravel(), one.ravel()) for one in weights])
-        alike += _CORRELATIONS[:, None] ** np.arange(of_distance.shape[1]) @ of_distance.T
+    seen, dark, alike = _speckle_sums(image, values, radius, given, _CORRELATIONS)
     over = seen - dark
     if over[0] <= 0.0:
         return 0.0, 0.0
     best = int(np.abs(over[1] / over[0] - alike[:, 1] / alike[:, 0]).argmin())
     return float(over[0] / alike[best, 0]), float(_CORRELATIONS[best])
+
+
+@kernel
+def _speckle_sums(
+    image: Floats, values: Floats, radius: Integers, given: Floats, correlations: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Give three sums, of squares and of products of neighbours each.
+
+    Of residuals (2,), of what noise makes of them (2,), and of what speckle of contrast 1 does,
+    (correlation, 2). Both kinds are residuals times a matrix B, diagonal or of neighbours. With A = 1 − J H,
+    H = N⁻¹JᵀW, a pair of pixels counts (AᵀBA)ᵢⱼ = Bᵢⱼ − Pᵢ·Hⱼ − Hᵢ·Pⱼ + Hᵢ·K Hⱼ, where P = BJ and K = JᵀBJ:
+    nothing of the size of A is multiplied.
+    """
+    seen, dark, alike = np.zeros(2), np.zeros(2), np.zeros((correlations.size, 2))
+    rows, columns = image.shape
+    for i in range(values.shape[0]):
+        p, r = values[i], radius[i]
+        middle_x, middle_y = int(np.rint(p[0])), int(np.rint(p[1]))
+        y0, y1 = max(middle_y - r, 0), min(middle_y + r + 1, rows)
+        x0, x1 = max(middle_x - r, 0), min(middle_x + r + 1, columns)
+        most = (y1 - y0) * (x1 - x0)
+        number = np.full((y1 - y0, x1 - x0), -1)
+        place = np.empty((most, 2), np.int64)
+        slope, own = np.empty((most, 7)), np.empty((most, 4))  # own: residual, light, m, variance
+        determinant = p[4] * p[6] - p[5] * p[5]
+        ia, ib, ic = p[6] / determinant, -p[5] / determinant, p[4] / determinant
+        normal, many = np.zeros((7, 7)), 0
+        for y in range(y0, y1):
+            for x in range(x0, x1):
+                if (x - middle_x) ** 2 + (y - middle_y) ** 2 > r * r:
+                    continue
+                u, v = x - p[0], y - p[1]
+                tu, tv = ia * u + ib * v, ib * u + ic * v
+                light = math.exp(-0.5 * (u * tu + v * tv))
+                m = p[2] * light
+                s = slope[many]
+                s[0], s[1], s[2], s[3] = m * tu, m * tv, light, 1.0
+                s[4], s[5], s[6] = 0.5 * m * tu * tu, m * tu * tv, 0.5 * m * tv * tv
+                own[many, 0], own[many, 1], own[many, 2] = image[y, x] - p[3] - m, light, m
+                own[many, 3] = given[0] + given[1] * m
+                for a in range(7):
+                    for b in range(7):
+                        normal[a, b] += s[a] * s[b] / own[many, 3]
+                place[many, 0], place[many, 1] = y, x
+                number[y - y0, x - x0] = many
+                many += 1
+        if np.linalg.matrix_rank(normal) < 7:
+            continue  # what is no dot, but an edge or a line, leaves numbers of the fit open
+        inverse = np.linalg.inv(normal)
+        pull, times, across = np.zeros((2, many, 7)), np.zeros((many, 7)), np.zeros((2, 7, 7))
+        for k in range(many):
+            for a in range(7):
+                for b in range(7):
+                    times[k, a] += inverse[a, b] * slope[k, b] / own[k, 3]
+            light = own[k, 1]
+            seen[0] += (light * own[k, 0]) ** 2
+            pull[0, k] = light**2 * slope[k]
+            for step_y, step_x in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+                y, x = place[k, 0] + step_y - y0, place[k, 1] + step_x - x0
+                if 0 <= y < y1 - y0 and 0 <= x < x1 - x0 and number[y, x] >= 0:
+                    other = number[y, x]
+                    weight = light * own[other, 1]
+                    seen[1] += weight * own[k, 0] * own[other, 0]
+                    pull[1, k] += weight * slope[other]
+            for which in range(2):
+                for a in range(7):
+                    for b in range(7):
+                        across[which, a, b] += slope[k, a] * pull[which, k, b]
+        for which in range(2):
+            half = np.zeros((many, 7))
+            for k in range(many):
+                for a in range(7):
+                    half[k, a] = -pull[which, k, a]
+                    for b in range(7):
+                        half[k, a] += across[which, a, b] * times[k, b]
+            of_distance = np.zeros(8 * r * r + 1)
+            for k in range(many):
+                for n in range(k + 1):
+                    weight = 0.0
+                    for a in range(7):
+                        weight += half[k, a] * times[n, a] - times[k, a] * pull[which, n, a]
+                    apart = (place[k, 0] - place[n, 0]) ** 2 + (place[k, 1] - place[n, 1]) ** 2
+                    if apart == which:
+                        weight += own[k, 1] * own[n, 1]
+                    if n == k:
+                        dark[which] += weight * own[k, 3]
+                        of_distance[0] += weight * own[k, 2] ** 2
+                    else:
+                        of_distance[apart] += 2.0 * weight * own[k, 2] * own[n, 2]
+            for c in range(correlations.size):
+                alike[c, which] += of_distance[0]
+                for apart in range(1, of_distance.size):
+                    if of_distance[apart] != 0.0:
+                        alike[c, which] += of_distance[apart] * correlations[c] ** apart
+    return seen, dark, alike
 
 
 def _peaks(fit: Fit, frame: Frame, width_max_px: float) -> Peaks:
@@ -376,23 +441,25 @@ def _shared(
         for a in range(2):
             for b in range(7):
                 pull[k, a] += inverse[a, b] * slope[k, b] * weight[k] * light[k]
-    share = np.empty(
-        (_ALIKE + 1, _ALIKE + 1)
-    )  # of neighbours so far apart: a power takes longer than all else
-    for v in range(_ALIKE + 1):
-        for u in range(_ALIKE + 1):
-            share[v, u] = given[2] * given[3] ** (u * u + v * v)
+    # ρ^(u² + v²) is a product: first along rows, then down columns; a power takes longer than all else
+    share = np.empty(_ALIKE + 1)
+    for u in range(_ALIKE + 1):
+        share[u] = given[3] ** (u * u)
+    along = np.zeros((light.size, 2))
+    for y in range(down):
+        for x in range(across):
+            for u in range(max(x - _ALIKE, 0), min(x + _ALIKE + 1, across)):
+                for a in range(2):
+                    along[y * across + x, a] += share[abs(u - x)] * pull[y * across + u, a]
     for y in range(down):
         for x in range(across):
             k = y * across + x
             if weight[k] == 0.0:
                 continue
-            for v in range(max(y - _ALIKE, 0), min(y + _ALIKE + 1, down)):
-                for u in range(max(x - _ALIKE, 0), min(x + _ALIKE + 1, across)):
-                    n = v * across + u
-                    if n == k:
-                        continue
-                    for a in range(2):
-                        for b in range(2):
-                            added[a, b] += share[abs(v - y), abs(u - x)] * pull[k, a] * pull[n, b]
+            for a in range(2):
+                around = -pull[k, a]  # what it shares with itself is counted as noise
+                for v in range(max(y - _ALIKE, 0), min(y + _ALIKE + 1, down)):
+                    around += share[abs(v - y)] * along[v * across + x, a]
+                for b in range(2):
+                    added[b, a] += given[2] * pull[k, b] * around
     return added

@@ -25,6 +25,7 @@ from roemetry.errors import StageError
 from roemetry.records import Estimate, Product, Reason, Shares, Surface, Volume
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
+from roemetry_kernels.compiling import kernel
 
 _POINTS_MAX = 150
 """Points that count: the time grows with their cube, and 250 bring a volume no nearer to the truth."""
@@ -109,7 +110,7 @@ class DotSurface(VolumeEstimator[StageOptions]):
             "model": _LEAST_STD * volume,
         }
         if scene.outlined:
-            wider = scene.offset(1.0)
+            wider = _larger(scene, product, 1.0)
             moved = _krige(wider, best.rim_mm, best.reach, best.size).volume_mm3(wider.nodes(best.rim_mm))
             budget[OUTLINE] = abs(moved - volume) * scene.outline_std_px
         else:
@@ -162,8 +163,6 @@ class _Scene:
     """start_mm, way: (contour, 3) lines of sight."""
     outlined: bool
     outline_std_px: float
-    outwards_mm: Floats
-    """(contour, 2) what an outline that is larger by 1 px is larger by on the belt."""
 
     @property
     def spacing_mm(self) -> float:
@@ -180,12 +179,6 @@ class _Scene:
         """Give (contour, 2) the border where the outline is seen at the rim's height."""
         along = (rim_mm - self.start_mm[:, 2]) / self.way[:, 2]
         return np.asarray((self.start_mm + along[:, None] * self.way)[:, :2])
-
-    def offset(self, by_px: float) -> _Scene:
-        """Give the scene with a larger outline."""
-        return replace(
-            self, start_mm=self.start_mm + by_px * np.column_stack([self.outwards_mm, 0.0 * self.way[:, 0]])
-        )
 
     def length_mm(self) -> float:
         """Length of the border."""
@@ -260,7 +253,7 @@ def _scene_of(product: Product) -> _Scene:
     if outline is None or view is None:
         hull = _hull(every_xy)
         start = np.column_stack([hull, np.zeros(len(hull))])
-        return _Scene(xyz, std, start, np.tile([0.0, 0.0, 1.0], (len(hull), 1)), False, math.nan, 0.0 * hull)
+        return _Scene(xyz, std, start, np.tile([0.0, 0.0, 1.0], (len(hull), 1)), False, math.nan)
     rows, columns = product.calibration.image_size
     contour = outline.xy_px
     if ((contour < 0.5) | (contour > np.array([columns, rows]) - 1.5)).any():
@@ -269,9 +262,16 @@ def _scene_of(product: Product) -> _Scene:
             hint="place it within the image",
         )
     start, way = view.rays(contour)
-    larger = view.at_height(contour + _outwards(contour), 0.0)[:, :2] - view.at_height(contour, 0.0)[:, :2]
     std_px = outline.xy_std_px if math.isfinite(outline.xy_std_px) else _OUTLINE_STD_PX
-    return _Scene(xyz, std, start, way, True, std_px, larger)
+    return _Scene(xyz, std, start, way, True, std_px)
+
+
+def _larger(scene: _Scene, product: Product, by_px: float) -> _Scene:
+    """Give the scene with a larger outline."""
+    assert product.outline is not None and product.view is not None
+    contour = product.outline.xy_px
+    start, way = product.view.rays(contour + by_px * _outwards(contour))
+    return replace(scene, start_mm=start, way=way)
 
 
 def _beside_neighbours(xyz_mm: Floats) -> Flags:
@@ -320,8 +320,7 @@ class _Kriged:
 
     def field(self, xy: Floats) -> Floats:
         """Expected u at places (n, 2)."""
-        left = self.prior.covariance(xy, self.place) @ self.solved
-        return np.asarray(self.prior.powers(xy) @ self.trend + left)
+        return _expected(xy, self.place, self.solved, self.trend, self.prior.numbers())
 
     def heights_mm(self, xy: Floats) -> Floats:
         """Expected heights at places."""
@@ -358,22 +357,13 @@ class _Prior:
     std: float
     reach_mm: float
 
+    def numbers(self) -> Floats:
+        """Give the middle's x and y, then the other fields in their order."""
+        return np.array([*self.middle, self.half_mm, self.trend_std, self.std, self.reach_mm])
+
     def covariance(self, one: Floats, other: Floats) -> Floats:
         """Give (n, m) between places."""
-        from scipy.spatial.distance import cdist
-
-        trend = (self.trend_std * self.powers(one)) @ (self.trend_std * self.powers(other)).T
-        if self.std == 0.0:
-            return np.asarray(trend)
-        apart = cdist(one, other) * (math.sqrt(5.0) / self.reach_mm)
-        # in place: half of a surface's time went into arrays of this size
-        matern = np.exp(-apart)
-        matern *= self.std**2
-        apart *= 1.0 + apart / 3.0
-        apart += 1.0
-        matern *= apart
-        matern += trend
-        return matern
+        return _covariance(one, other, self.numbers())
 
     def powers(self, xy: Floats) -> Floats:
         """Give (n, 6) what the quadratic's coefficients are multiplied by."""
@@ -398,20 +388,66 @@ def _krige(scene: _Scene, rim_mm: float, reach: float = _REACHES[1], size: float
     spread = float(np.sqrt((value**2).mean()))
     flat = _Prior(middle, half, 0.0, 0.0, half)
     design = flat.powers(place)
-    trend: Floats = np.asarray(np.linalg.lstsq(design, value, rcond=None)[0], np.float64)
+    trend: Floats = np.asarray(np.linalg.solve(design.T @ design, design.T @ value), np.float64)
     left = value - design @ trend
     std = max(size * float(np.sqrt((left**2).mean())), 1e-3 * spread, 1e-6)
     prior = replace(flat, trend_std=_TREND * std, std=std, reach_mm=reach * math.sqrt(abs(_area(contour))))
-    covariance = prior.covariance(place, place) + np.diag(noise**2 + (1e-3 * std) ** 2)
-    factor: Floats = np.asarray(
-        np.linalg.cholesky(covariance + 1e-10 * np.diag(np.diag(covariance))), np.float64
-    )
-    half_way = solve_triangular(factor, left, lower=True)
-    solved = solve_triangular(factor.T, half_way, lower=False)
+    covariance = prior.covariance(place, place)
+    own = np.einsum("ii->i", covariance)
+    own += noise**2 + (1e-3 * std) ** 2
+    own *= 1.0 + 1e-10
+    factor: Floats = np.asarray(np.linalg.cholesky(covariance), np.float64)
+    half_way = solve_triangular(factor, left, lower=True, check_finite=False)
+    solved = solve_triangular(factor, half_way, lower=True, trans=1, check_finite=False)
     # of Z, not of u, the likelihood is compared over rims
     slope = np.log(2.0 * np.hypot(over, 2.0 * scene.std_mm)).sum()
     likelihood = -0.5 * float(half_way @ half_way) - float(np.log(np.diag(factor)).sum()) + float(slope)
     return _Kriged(rim_mm, reach, size, likelihood, place, factor, trend, solved, prior)
+
+
+@kernel
+def _covariance(one: Floats, other: Floats, prior: Floats) -> Floats:
+    """Give (n, m) the prior's covariance between places; `prior` as `_Prior.numbers` has it."""
+    found = np.empty((one.shape[0], other.shape[0]))
+    scale, trend, variance = math.sqrt(5.0) / prior[5], prior[3] ** 2, prior[4] ** 2
+    for i in range(one.shape[0]):
+        x, y = (one[i, 0] - prior[0]) / prior[2], (one[i, 1] - prior[1]) / prior[2]
+        for j in range(other.shape[0]):
+            u, v = (other[j, 0] - prior[0]) / prior[2], (other[j, 1] - prior[1]) / prior[2]
+            across, down = x * u, y * v
+            quadratic = 1.0 + across + down + across * across + across * down + down * down
+            apart = scale * math.sqrt((one[i, 0] - other[j, 0]) ** 2 + (one[i, 1] - other[j, 1]) ** 2)
+            matern = (1.0 + apart * (1.0 + apart / 3.0)) * math.exp(-apart)
+            found[i, j] = trend * quadratic + variance * matern
+    return found
+
+
+@kernel
+def _expected(xy: Floats, place: Floats, solved: Floats, trend: Floats, prior: Floats) -> Floats:
+    """Give (n,) the field at places: the trend, and the covariance with what is observed times `solved`."""
+    found = np.empty(xy.shape[0])
+    scale, variance = math.sqrt(5.0) / prior[5], prior[4] ** 2
+    # the prior's quadratic adds to the trend: its sums over what is observed are the same for all places
+    whole = trend.copy()
+    for j in range(place.shape[0]):
+        u, v = (place[j, 0] - prior[0]) / prior[2], (place[j, 1] - prior[1]) / prior[2]
+        share = prior[3] ** 2 * solved[j]
+        whole[0] += share
+        whole[1] += share * u
+        whole[2] += share * v
+        whole[3] += share * u * u
+        whole[4] += share * u * v
+        whole[5] += share * v * v
+    for i in range(xy.shape[0]):
+        x, y = (xy[i, 0] - prior[0]) / prior[2], (xy[i, 1] - prior[1]) / prior[2]
+        value = (
+            whole[0] + whole[1] * x + whole[2] * y + whole[3] * x * x + whole[4] * x * y + whole[5] * y * y
+        )
+        for j in range(place.shape[0]):
+            apart = scale * math.sqrt((xy[i, 0] - place[j, 0]) ** 2 + (xy[i, 1] - place[j, 1]) ** 2)
+            value += variance * solved[j] * (1.0 + apart * (1.0 + apart / 3.0)) * math.exp(-apart)
+        found[i] = value
+    return found
 
 
 def _likeliest(scene: _Scene) -> tuple[_Kriged, float]:

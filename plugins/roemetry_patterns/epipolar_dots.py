@@ -41,11 +41,16 @@ from roemetry.records.calibration import Calibration
 from roemetry.records.light import at_height, meet
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, Coder, StageOptions
+from roemetry_kernels.compiling import kernel
 
 _OFF_MAX = 5.0
 """Standard deviations that a dot may lie off the curve of its ray."""
 _MODEL_PX = 0.06
 """Beside a dot's own covariance: what dots on slopes and edges are off their rays by."""
+_NODES = 5
+"""Places of a ray's curve in the image, straight in between."""
+_BENT_PX = 0.5
+"""That a curve may lie beside these straight parts: a lens that bends lines by 8 px leaves 0.3 px."""
 _CUT_PX = 0.4
 """Standard uncertainty of the centre of a dot that a product's edge has cut: a third of a dot's size."""
 _CUT_OFF_MAX = 2.5
@@ -152,13 +157,11 @@ def candidates(
     assert peaks.dots is not None
     flat = lines.reshape(-1, 4)
     xy = np.column_stack([peaks.x_px, peaks.dots.y_px])
-    ends = np.stack([view.project(at_height(flat, z)) for z in np.linspace(*reach_mm, 5)])
+    heights = np.linspace(*reach_mm, _NODES)
+    every = at_height(np.repeat(flat, _NODES, axis=0), np.tile(heights, len(flat)))
+    curve = view.project(every).reshape(len(flat), _NODES, 2)
     near = _OFF_MAX * (_MODEL_PX + float(np.nan_to_num(peaks.x_std_px[usable]).max(initial=0.0)))
-    # a ray that is not known has no curve
-    least = np.where(np.isnan(ends), np.inf, ends).min(axis=0) - near
-    most = np.where(np.isnan(ends), -np.inf, ends).max(axis=0) + near
-    at = xy[usable, None]
-    pairs = np.argwhere(((at > least) & (at < most)).all(axis=2))
+    pairs = _near_curves(xy[usable], curve, near + _BENT_PX)
     dot, ray = usable[pairs[:, 0]], pairs[:, 1]
     covariance = peaks.dots.covariance_px2[dot] + _MODEL_PX**2 * np.eye(2)
     own = rays.covariance.reshape(-1, 4, 4)[ray]
@@ -177,6 +180,36 @@ def candidates(
         x_std[good],
         met.z_std_mm[good],
     )
+
+
+@kernel
+def _near_curves(xy_px: Floats, curve_px: Floats, near_px: float) -> Integers:
+    """Give (n, 2) which dots lie near which curves (ray, node, 2); none near one that is not known."""
+    found = np.empty((xy_px.shape[0] * 8, 2), np.int64)
+    count = 0
+    for dot in range(xy_px.shape[0]):
+        for ray in range(curve_px.shape[0]):
+            first, last = curve_px[ray, 0], curve_px[ray, -1]
+            if not (
+                min(first[0], last[0]) - near_px < xy_px[dot, 0] < max(first[0], last[0]) + near_px
+                and min(first[1], last[1]) - near_px < xy_px[dot, 1] < max(first[1], last[1]) + near_px
+            ):
+                continue
+            near = False
+            for node in range(curve_px.shape[1] - 1):
+                one, other = curve_px[ray, node], curve_px[ray, node + 1]
+                way_x, way_y = other[0] - one[0], other[1] - one[1]
+                off_x, off_y = xy_px[dot, 0] - one[0], xy_px[dot, 1] - one[1]
+                share = (off_x * way_x + off_y * way_y) / max(way_x**2 + way_y**2, 1e-12)
+                share = min(max(share, 0.0), 1.0)
+                if (off_x - share * way_x) ** 2 + (off_y - share * way_y) ** 2 < near_px**2:
+                    near = True
+            if near:
+                if count == found.shape[0]:
+                    found = np.concatenate((found, np.empty_like(found)))
+                found[count, 0], found[count, 1] = dot, ray
+                count += 1
+    return found[:count]
 
 
 def _refuse_other_pattern(found: Candidates, dots: int, lines: Floats) -> None:

@@ -51,6 +51,8 @@ _OWN_MIN = 0.4
 _REMAINS = 6.0
 """Times its share of a peak's height, that light taken away adds to the peak's uncertainty. Found by drawing:
 its speckle lies on the flanks of the peak, too, which the fit takes for dark and sure."""
+_TIMES = 2
+"""That both families are measured: what the second time finds at crossings changes no line any more."""
 _CLIPPED_PX = 7
 """Along the row, in which no pixel of a crossing may be white."""
 
@@ -81,9 +83,15 @@ class GridLines(Extractor[GridLinesOptions]):
         frames = (frame, turned(frame))
         along, down = _gradients(frame.pixels)
         directed = along > _DIRECTED * down, np.rot90(down > _DIRECTED * along)
-        light = [_light_of(one.extract(each), kept) for each, kept in zip(frames, directed, strict=True)]
-        upright = _without(one, frame, np.rot90(light[1], -1))
-        return replace(upright, across=_without(one, frames[1], np.rot90(light[0])))
+        light = [
+            _light_of(found, on[found.row, np.rint(found.x_px).astype(np.int64)])
+            for found, on in zip(map(one.extract, frames), directed, strict=True)
+        ]
+        # where a line ends behind a crossing, too near for its direction to show, the second round knows it
+        for _ in range(_TIMES):
+            found = _without(one, frame, np.rot90(light[1], -1)), _without(one, frames[1], np.rot90(light[0]))
+            light = [_light_of(peaks, sure) for peaks, sure in found]
+        return replace(found[0][0], across=found[1][0])
 
 
 def turned(frame: Frame) -> Frame:
@@ -91,20 +99,17 @@ def turned(frame: Frame) -> Frame:
     return replace(frame, pixels=np.ascontiguousarray(np.rot90(frame.pixels)))
 
 
-def _light_of(peaks: Peaks, directed: Flags) -> Floats:
+def _light_of(peaks: Peaks, kept: Flags) -> Floats:
     """Give the light of the lines that cross rows, as an image, grey levels over what is beside them.
 
-    `directed` says of each pixel whether the image changes along its row rather than down the rows.
+    `kept` (peak,) says which peaks are known to be of such lines.
     """
-    kept = directed[peaks.row, np.rint(peaks.x_px).astype(np.int64)]
-    row, numbers = (
-        peaks.row[kept],
-        np.column_stack([peaks.x_px, peaks.amplitude, peaks.width_px / FWHM_OF_SIGMA])[kept],
-    )
+    row = peaks.row[kept]
+    numbers = np.column_stack([peaks.x_px, peaks.amplitude, peaks.width_px / FWHM_OF_SIGMA])[kept]
     ahead = _neighbour(row, numbers[:, 0])
     hidden_row, hidden = _hidden(row, numbers, ahead)
     row, numbers = np.concatenate([row, hidden_row]), np.concatenate([numbers, hidden])
-    return _painted(row, numbers, directed.shape)
+    return _painted(row, numbers, peaks.image_size)
 
 
 def _gradients(pixels: Any) -> tuple[Any, Any]:
@@ -182,8 +187,11 @@ def _painted(row: Integers, numbers: Floats, size: tuple[int, int]) -> Floats:
     return light
 
 
-def _without(one: Gaussian, frame: Frame, light: Floats) -> Peaks:
-    """Measure the lines that are left when the other family's light is taken away."""
+def _without(one: Gaussian, frame: Frame, light: Floats) -> tuple[Peaks, Flags]:
+    """Measure the lines that are left when the other family's light is taken away.
+
+    Gives also (peak,) which of them run across the rows beyond doubt.
+    """
     from scipy.ndimage import maximum_filter1d
 
     pixels = frame.pixels
@@ -205,7 +213,7 @@ def _without(one: Gaussian, frame: Frame, light: Floats) -> Peaks:
     with np.errstate(divide="ignore", invalid="ignore"):
         grown = np.hypot(1.0, _REMAINS * beside / peaks.amplitude)
     kept = np.flatnonzero(own)
-    return replace(
+    left_over = replace(
         peaks,
         row=peaks.row[kept],
         x_px=peaks.x_px[kept],
@@ -215,3 +223,4 @@ def _without(one: Gaussian, frame: Frame, light: Floats) -> Peaks:
         width_px=peaks.width_px[kept],
         flags=peaks.flags[kept],
     )
+    return left_over, (along[at] > _DIRECTED * down[at])[kept]

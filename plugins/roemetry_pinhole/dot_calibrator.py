@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from roemetry.errors import CalibrationError
-from roemetry.records import EDGE, SATURATED, WIDE, CalibrationSet, Observation, Peaks
+from roemetry.records import EDGE, SATURATED, WIDE, CalibrationSet, Observation, Peaks, Rays
 from roemetry.records.arrays import Flags, Floats
 from roemetry.records.calibration import Calibration
 from roemetry.records.light import meet
@@ -123,7 +123,11 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
             },
             target={"kind": observed.board.kind, "name": observed.board.name, "poses": len(first.views)},
             extractor=dict(observed.extractor),
-            notes=(*seen.notes, *(f"not used: {name}: {why}" for name, why in seen.left_out.items())),
+            notes=(
+                *seen.notes,
+                *_of_neighbours(missing, made),
+                *(f"not used: {name}: {why}" for name, why in seen.left_out.items()),
+            ),
             view=view,
             rays=made,
         )
@@ -163,6 +167,15 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
             covariance = dots.covariance_px2[some] + _ADDED_STD_PX**2 * np.eye(2)
             found.append((np.full(ray.size, dots.pose), ray, dots.xy_px[some], covariance))
         return DotPoints(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def _of_neighbours(missing: int, rays: Rays) -> tuple[str, ...]:
+    """Say how many rays were filled in."""
+    if not missing:
+        return ()
+    left = int(np.isnan(rays.lines[..., 0]).sum())
+    said = f"{missing} rays were seen on too few surfaces: {missing - left} are taken from those around them"
+    return (f"{said}, {left} remain unknown" if left else said,)
 
 
 def _places(peaks: Peaks) -> Floats:

@@ -44,6 +44,9 @@ _OFF_MAX = 5.0  # standard deviations beyond which a dot is left out: print unde
 _OFF_LEAST_PX = 0.3  # nearer than this a dot is never left out, px
 _SURFACES_MIN = 3  # surfaces that a ray is seen on: two determine it, a third shows whether they agree
 _SHARED = 6  # directions in which rays err together beside camera and belt
+_AROUND, _AROUND_MIN = 3, 12
+"""Columns and lines around a ray, and least number of known rays there, by which it is filled in where it is
+not known: twice the numbers of a quadratic."""
 _UP_MM = 30.0  # height at which a slope's error is compared with a place's, mm: half of what is measured
 
 
@@ -156,16 +159,45 @@ def rays_of(found: FoundRays, unknowns: Unknowns, stripes: int) -> tuple[Rays, d
         "shared_by_rays": np.zeros(_SHARED),
     }
     shape = (stripes, len(found.lines) // stripes)
-    return (
-        Rays(
-            found.lines.reshape(*shape, 4),
-            own.reshape(*shape, 4, 4),
-            by_parameter.reshape(*shape, 4, -1),
-            flat(parameters),
-        ),
-        parameters,
-        covariance,
+    every = _between_neighbours(
+        found.lines.reshape(*shape, 4), own.reshape(*shape, 4, 4), by_parameter.reshape(*shape, 4, -1)
     )
+    return Rays(*every, flat(parameters)), parameters, covariance
+
+
+def _between_neighbours(lines: Floats, own: Floats, by_parameter: Floats) -> tuple[Floats, Floats, Floats]:
+    """Fill in rays that are not known from those around them: a projector's pattern is smooth.
+
+    Each is the value of a quadratic over column and line through the known ones around it. How far such a
+    value lies off is told by the rays that are known, each taken from its neighbours alike.
+    """
+    known = np.isfinite(lines[..., 0])
+    weights = {place: _around(known, place) for place in zip(*map(list, np.nonzero(known)), strict=True)}
+    asked = [(place, *found) for place, found in weights.items() if found is not None]
+    missing = [(place, _around(known, place)) for place in zip(*map(list, np.nonzero(~known)), strict=True)]
+    if not asked or not missing:
+        return lines, own, by_parameter
+    off = np.array([weight @ lines[at] - lines[place] for place, at, weight in asked])
+    lines, own, by_parameter = lines.copy(), own.copy(), by_parameter.copy()
+    for place, found in missing:
+        if found is not None:
+            at, weight = found
+            lines[place] = weight @ lines[at]
+            by_parameter[place] = np.tensordot(weight, by_parameter[at], axes=1)
+            own[place] = off.T @ off / len(off)
+    return lines, own, by_parameter
+
+
+def _around(known: Flags, place: tuple[int, int]) -> tuple[tuple[Integers, Integers], Floats] | None:
+    """Give the known rays around one, and how much each counts for it; None where they are too few."""
+    column, line = np.nonzero(known)
+    across, down = column - place[0], line - place[1]
+    near = (np.maximum(np.abs(across), np.abs(down)) <= _AROUND) & ((across != 0) | (down != 0))
+    if near.sum() < _AROUND_MIN:
+        return None
+    x, y = across[near].astype(np.float64), down[near].astype(np.float64)
+    powers = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    return (column[near], line[near]), np.asarray(np.linalg.pinv(powers)[0])
 
 
 def view_of(parameters: Mapping[str, Floats], lines: Floats, image_size: tuple[int, int]) -> View:

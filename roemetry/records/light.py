@@ -18,8 +18,6 @@ from roemetry.records.arrays import Checker, Flags, Floats, Labels
 from roemetry.records.display import Shown
 from roemetry.records.view import View
 
-_STEP_MM = 0.05
-"""Of differences along a ray: its image bends by less than 1e-5 px on it."""
 _ROUNDS = 3
 """Gauss–Newton steps along a ray: each divides the error by its image's bend, some hundred."""
 
@@ -131,22 +129,32 @@ def meet(
     """
     unknown: Flags = np.asarray(~np.isfinite(covariance_px2).all(axis=(1, 2)))
     noise = np.where(unknown[:, None, None], np.eye(2), covariance_px2)
+    noise_xx, noise_yy = noise[:, 0, 0], noise[:, 1, 1]
+    noise_xy = 0.5 * (noise[:, 0, 1] + noise[:, 1, 0])
+    x_px, y_px = xy_px.T
     z = _nearest(view, lines, xy_px)
     for _ in range(_ROUNDS):
-        at, slope = _image(view, lines, z)
-        weight = _inverse(noise if ray_covariance is None else noise + _seen(view, lines, z, ray_covariance))
-        pull = np.einsum("nij,nj->ni", weight, slope)
-        strength = (pull * slope).sum(axis=1)
-        off = xy_px - at
+        at, by_place = view.project_slopes(at_height(lines, z))
+        slope_x, slope_y = (by[0] * lines[:, 2] + by[1] * lines[:, 3] + by[2] for by in by_place)
+        xx, xy, yy = noise_xx, noise_xy, noise_yy
+        if ray_covariance is not None:
+            own_xx, own_xy, own_yy = _seen(by_place[:, :2], z, ray_covariance)
+            xx, xy, yy = xx + own_xx, xy + own_xy, yy + own_yy
         with np.errstate(divide="ignore", invalid="ignore"):
-            by_px = pull / strength[:, None]
-        step = (by_px * off).sum(axis=1)
-        z = z + step
-    off = off - slope * step[:, None]
-    misfit = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", off, weight, off), 0.0))
+            determinant = xx * yy - xy * xy
+            pull_x = (yy * slope_x - xy * slope_y) / determinant
+            pull_y = (xx * slope_y - xy * slope_x) / determinant
+            strength = pull_x * slope_x + pull_y * slope_y
+            off_x, off_y = x_px - at[:, 0], y_px - at[:, 1]
+            step = (pull_x * off_x + pull_y * off_y) / strength
+            z = z + step
+    off_x, off_y = off_x - slope_x * step, off_y - slope_y * step
     with np.errstate(divide="ignore", invalid="ignore"):
+        squared = (yy * off_x**2 - 2.0 * xy * off_x * off_y + xx * off_y**2) / determinant
+        misfit = np.sqrt(np.maximum(squared, 0.0))
         std = np.where(unknown, np.nan, 1.0 / np.sqrt(strength))
-    return Met(z, slope, by_px, std, misfit)
+        by_px = np.column_stack([pull_x, pull_y]) / strength[:, None]
+    return Met(z, np.column_stack([slope_x, slope_y]), by_px, std, misfit)
 
 
 def _nearest(view: View, lines: Floats, xy_px: Floats) -> Floats:
@@ -159,23 +167,17 @@ def _nearest(view: View, lines: Floats, xy_px: Floats) -> Floats:
         return np.asarray((apart * across).sum(axis=1) / (across * ray).sum(axis=1))
 
 
-def _image(view: View, lines: Floats, z_mm: Floats) -> tuple[Floats, Floats]:
-    """Give (n, 2) where rays are seen at heights, and how that moves with the height."""
-    at = view.project(at_height(lines, z_mm))
-    return at, (view.project(at_height(lines, z_mm + _STEP_MM)) - at) / _STEP_MM
+def _seen(by_xy: Floats, z_mm: Floats, covariance: Floats) -> tuple[Floats, Floats, Floats]:
+    """Give xx, xy and yy, (n,) each, of what the rays' own errors do to their dots in the image, px².
 
-
-def _seen(view: View, lines: Floats, z_mm: Floats, covariance: Floats) -> Floats:
-    """Give (n, 2, 2) what the rays' own errors do to their dots in the image, px²."""
-    at = at_height(lines, z_mm)
-    here = view.project(at)
-    moved = [(view.project(at + step) - here) / _STEP_MM for step in _STEP_MM * np.eye(3)[:2]]
-    by_place = np.stack(moved, axis=2)
-    by_line = np.concatenate([by_place, by_place * z_mm[:, None, None]], axis=2)
-    return np.asarray(np.einsum("nij,njk,nlk->nil", by_line, covariance, by_line))
-
-
-def _inverse(matrix: Floats) -> Floats:
-    a, b, c, d = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 0], matrix[:, 1, 1]
-    turned = np.stack([d, -b, -c, a], axis=1) / (a * d - b * c)[:, None]
-    return np.asarray(turned.reshape(-1, 2, 2))
+    `by_xy` (2, 2, n) says how the image moves with X and Y; X of a ray moves with x₀ and Z·sₓ, Y alike.
+    """
+    at_z = covariance[:, :2, :2] + z_mm[:, None, None] * (covariance[:, :2, 2:] + covariance[:, 2:, :2])
+    at_z += (z_mm**2)[:, None, None] * covariance[:, 2:, 2:]
+    along, across, both = at_z[:, 0, 0], at_z[:, 1, 1], 0.5 * (at_z[:, 0, 1] + at_z[:, 1, 0])
+    (a, b), (c, d) = by_xy
+    return (
+        a * a * along + 2.0 * a * b * both + b * b * across,
+        a * c * along + (a * d + b * c) * both + b * d * across,
+        c * c * along + 2.0 * c * d * both + d * d * across,
+    )

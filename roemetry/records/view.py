@@ -210,6 +210,25 @@ class View(Shown):
         focal = np.diag(self.camera_matrix)[:2]
         return np.asarray(plane * focal + self.camera_matrix[:2, 2]).reshape((*xyz.shape[:-1], 2))
 
+    def project_slopes(self, xyz_mm: Floats) -> tuple[Floats, Floats]:
+        """Give what `project` does of points (n, 3), and (2, 3, n) how it moves with their coordinates."""
+        turn, shift = self.T_belt_camera[:3, :3], self.T_belt_camera[:3, 3]
+        focal_x, focal_y = self.camera_matrix[0, 0], self.camera_matrix[1, 1]
+        u, v, ahead = turn.T @ (xyz_mm - shift).T
+        by_u, by_v = turn[:, :1], turn[:, 1:2]
+        if self.telecentric:
+            x, y, by_x, by_y = u, v, by_u + 0.0 * u, by_v + 0.0 * v
+        else:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                near = np.where(ahead > 0, 1.0 / ahead, np.nan)
+            x, y = u * near, v * near
+            by_x, by_y = (by_u - x * turn[:, 2:]) * near, (by_v - y * turn[:, 2:]) * near
+            if self.distortion.any():
+                (x, y), (a, b, c, d) = _bent(x, y, self.distortion)
+                by_x, by_y = a * by_x + b * by_y, c * by_x + d * by_y
+        at = np.stack([x, y], axis=1) * (focal_x, focal_y) + self.camera_matrix[:2, 2]
+        return at, np.stack([focal_x * by_x, focal_y * by_y])
+
     def lift(self, xy_px: Floats, stripe: Any) -> Floats:
         """Give (…, 3) where rays of (…, 2) image places meet planes of stripes (…), belt frame, mm."""
         start, way = self.rays(xy_px)

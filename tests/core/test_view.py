@@ -51,6 +51,21 @@ def test_points_appear_where_opencv_says(lens: list[float], rng: np.random.Gener
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+@pytest.mark.parametrize("telecentric", [False, True])
+def test_slopes_of_places_are_differences(
+    lens: list[float], telecentric: bool, rng: np.random.Generator
+) -> None:
+    view = replace(camera([] if telecentric else lens), telecentric=telecentric)
+    xyz = rng.uniform([-60, -50, 0], [60, 50, 30], (20, 3))
+    at, slopes = view.project_slopes(xyz)
+    np.testing.assert_allclose(at, view.project(xyz), atol=1e-9)  # px
+    step = 1e-4  # mm
+    for axis in range(3):
+        ahead, behind = (view.project(xyz + sign * step * np.eye(3)[axis]) for sign in (1, -1))
+        np.testing.assert_allclose(slopes[:, axis].T, (ahead - behind) / (2.0 * step), atol=1e-5)
+
+
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
 def test_rays_lead_back_to_the_points(lens: list[float], rng: np.random.Generator) -> None:
     view = camera(lens)
     xyz = rng.uniform([-60, -50, 0], [60, 50, 30], (50, 3))

@@ -13,6 +13,7 @@ from roemetry.testing.dots import DotRig
 from roemetry_patterns.dot_centres import DotCentres
 from roemetry_patterns.epipolar_dots import EpipolarDots
 from roemetry_pinhole.dot_lattice import followed, on_belt
+from roemetry_pinhole.dot_rays import _between_neighbours
 
 
 def test_centres_scatter_as_their_covariance_says(rng: np.random.Generator) -> None:
@@ -78,3 +79,28 @@ def test_drawn_dots_are_where_the_truth_says() -> None:
     assert off.max() < 0.1  # px
     # a dot lies in its plane, on the belt
     assert np.abs(truth.xyz_mm[stripe, row, 2]).max() < 1e-9
+
+
+def test_rays_that_were_not_seen_are_taken_from_those_around_them(rng: np.random.Generator) -> None:
+    column, line = np.mgrid[:12.0, :10.0]
+    true = np.stack(
+        [6.0 * column + 0.01 * column * line, 5.0 * line + 0.02 * line**2, 0.1 - 0.01 * column, -0.01 * line],
+        axis=2,
+    )
+    std = np.array([0.01, 0.01, 2e-4, 2e-4])
+    lines = true + std * rng.standard_normal(true.shape)
+    own = np.broadcast_to(np.diag(std**2), (12, 10, 4, 4)).copy()
+    by_parameter = np.repeat(true[..., None], 2, axis=3)
+    places = [(0, 0), (5, 4), (11, 6)]
+    for place in places:
+        lines[place], own[place], by_parameter[place] = np.nan, np.nan, np.nan
+    found, covariance, followed = _between_neighbours(lines, own, by_parameter)
+    for place in places:
+        assert np.abs((found[place] - true[place]) / np.sqrt(np.diag(covariance[place]))).max() < 4.0
+        assert np.abs(followed[place] - true[place][:, None]).max() < 1e-9
+        assert (np.sqrt(np.diag(covariance[place])) / std < 1.8).all()
+    assert np.array_equal(found[3, 3], lines[3, 3])
+    # of too few around one nothing is made
+    alone = np.full_like(lines, np.nan)
+    alone[:3, :3] = lines[:3, :3]
+    assert np.isnan(_between_neighbours(alone, own, by_parameter)[0][8, 8]).all()

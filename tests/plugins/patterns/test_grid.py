@@ -17,7 +17,7 @@ from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, Sensor
 from roemetry.records.calibration import Calibration
 from roemetry.testing.scenes import GridRig, frame_of
-from roemetry_coding.grid import GridPlanes, _asked_again, _Families
+from roemetry_coding.grid import GridPlanes, _asked_again, _Families, _followed
 from roemetry_patterns.dot_surface import _pooled
 from roemetry_peaks.grid_lines import GridLines
 from roemetry_pinhole.grid import ACROSS, _turning, turned_parameters
@@ -72,6 +72,53 @@ def test_a_run_that_was_refused_is_labelled_by_the_lines_it_crosses() -> None:
     single = replace(true.across, x_px=x_px, product=product, seen=true.across.seen & one)
     kept = _asked_again(open_, peaks, single, _Families(calibration, calibration.across))
     assert (kept.peak_stripe == label).all()
+
+
+def test_refused_peaks_that_go_on_where_a_line_ends_are_its_own_up_to_the_rest_line() -> None:
+    rig = GridRig()
+    heights = rig.hill()
+    peaks, true = rig.grid_peaks(heights, 0.0), rig.grid_map(heights)
+    off_px = np.abs(true.x_px[3] - true.rest_px[3])
+    first = int(np.flatnonzero(off_px > 1.5)[0])
+    gone = np.zeros(true.x_px.shape, np.bool_)
+    gone[3, : first + 8] = True
+    label = true.peak_stripe.copy()
+    label[(label == 3) & (peaks.row < first + 8)] = AMBIGUOUS
+    nan = np.where(gone, np.nan, 1.0)
+    open_ = replace(
+        true,
+        x_px=true.x_px * nan,
+        product=np.where(gone, -1, true.product).astype(np.int16),
+        seen=true.seen & ~gone,
+        peak_stripe=label,
+    )
+    found = _followed(open_, peaks)
+    assert np.array_equal(np.flatnonzero(found.seen[3] & ~open_.seen[3]), np.arange(first, first + 8))
+    assert np.nanmax(np.abs(found.x_px - true.x_px)) < 1e-9
+    # another peak as near could be meant as well
+    row, beside = int(first + 7), true.x_px[3, first + 7] + 2.0
+    at = int(np.searchsorted(peaks.row * 1e4 + peaks.x_px, row * 1e4 + beside))
+    names = ("row", "x_px", "x_std_px", "amplitude", "background", "width_px", "flags")
+    two = {name: np.insert(getattr(peaks, name), at, getattr(peaks, name)[at - 1]) for name in names}
+    two["x_px"][at] = beside
+    doubtful = replace(open_, peak_stripe=np.insert(label, at, AMBIGUOUS).astype(np.int16))
+    kept = _followed(doubtful, replace(peaks, **two))
+    assert not kept.seen[3, row]
+
+
+def test_a_line_that_ends_behind_a_crossing_is_taken_away_there() -> None:
+    rig = GridRig()
+    flat = np.zeros((rig.stripes, rig.rows)), np.zeros((rig.lines, rig.columns))
+    light = rig.grid_light(flat, 100.0)
+    alone = rig.light(rig.x_px(flat[0]), 100.0)
+    line_px = rig.across.x_px(flat[1])[2].mean()
+    end = int(rig.x_px(flat[0])[3].mean()) + 2  # the line across ends two pixels behind the stripe
+    rows = slice(int(line_px) - 12, int(line_px) + 13)
+    light[rows, end:] = alone[rows, end:]
+    peaks = GridLines().extract(frame_of(light, noise=0.5))
+    near = (np.abs(peaks.row - line_px) < 6.0) & (np.abs(peaks.x_px - end + 2) < 4.0)
+    assert near.sum() == np.count_nonzero(np.abs(np.arange(rig.rows) - line_px) < 6.0)  # one in each row
+    assert np.abs(peaks.x_px[near] - rig.x_px(flat[0])[3, peaks.row[near]]).max() < 0.3
 
 
 def test_a_grid_under_another_calibration_is_refused() -> None:
