@@ -1,0 +1,86 @@
+"""Circles, traced as curves, where they cross image rows.
+
+Model. A circle's left and right halves cross rows as stripes do, and are measured in each row by `gaussian`. A
+curve that leans by s pixels a row is √(1 + s²) times as wide along the row as across itself, and so is the
+uncertainty of its place: a place along the row says of the curve what one along its normal would. Peaks are
+joined from row to row; where a curve's slope over nine rows is steeper than 60° from upright, near the top and
+the bottom of a circle, it runs as the rows do: those peaks are left out, and so are pieces of few rows.
+
+It fails where circles stand nearer together than three of their widths. Source: our own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from roemetry.records import Frame, Peaks
+from roemetry.records.arrays import Floats, Integers
+from roemetry.records.view import STEEP_MAX
+from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry_kernels.tracing import trace_fragments
+from roemetry_peaks.gaussian import Gaussian, GaussianOptions
+
+_STEP_PX = 3.0
+"""From row to row, by which a curve that is not too steep moves, and one that noise moves a pixel more."""
+_HALF_ROWS = 4
+"""To both sides, over which a slope is taken: noise of 0.2 px makes it wrong by 0.03."""
+_LEAST_ROWS = 5
+"""Shorter pieces are glints, or the ends of a circle."""
+
+
+class CircleCurvesOptions(StageOptions):
+    """What counts as a circle."""
+
+    threshold: Annotated[float, Field(ge=1.0, le=255.0)] | Literal["auto"] = Field(
+        default="auto",
+        description="grey levels (of 0…255, scaled for deeper images) by which a circle must rise above the "
+        "light beside it; auto: from the image's own noise, and from how high its curves are",
+    )
+    width_max_px: float = Field(
+        default=16.0, gt=2.0, le=100.0, description="largest full width at half height along a row, px"
+    )
+
+
+class CircleCurves(Extractor[CircleCurvesOptions]):
+    """Traces the halves of circles across rows, as far as rows tell where they are."""
+
+    Options: ClassVar[type[StageOptions]] = CircleCurvesOptions
+    capabilities = Capabilities(tolerance_px=0.1, saturated_tolerance_px=0.3, pattern="circles")
+
+    def extract(self, frame: Frame) -> Peaks:
+        """Find where circles cross the rows of a frame."""
+        given = self.options
+        peaks = Gaussian(GaussianOptions(threshold=given.threshold, width_max_px=given.width_max_px)).extract(
+            frame
+        )
+        piece, _ = trace_fragments(peaks.row_start, peaks.x_px, _STEP_PX)
+        slope, rows = _slopes(piece, peaks.x_px)
+        kept = np.flatnonzero((np.abs(slope) <= STEEP_MAX) & (rows >= _LEAST_ROWS))
+        return replace(
+            peaks,
+            row=peaks.row[kept],
+            x_px=peaks.x_px[kept],
+            x_std_px=peaks.x_std_px[kept],
+            amplitude=peaks.amplitude[kept],
+            background=peaks.background[kept],
+            width_px=peaks.width_px[kept],
+            flags=peaks.flags[kept],
+        )
+
+
+def _slopes(piece: Integers, x_px: Floats) -> tuple[Floats, Integers]:
+    """Give (peak,) slope, px a row, of the piece each peak is on, and the number of that one's rows."""
+    count = np.bincount(piece, minlength=1)
+    order = np.argsort(piece, kind="stable")  # peaks come by row, so within a piece they stay in order
+    first = (np.cumsum(count) - count)[piece[order]]
+    last = first + count[piece[order]] - 1
+    here = np.arange(piece.size)
+    before, after = np.maximum(here - _HALF_ROWS, first), np.minimum(here + _HALF_ROWS, last)
+    slope = np.full(piece.size, np.inf)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope[order] = (x_px[order][after] - x_px[order][before]) / (after - before)
+    return np.nan_to_num(slope, nan=np.inf), count[piece]
