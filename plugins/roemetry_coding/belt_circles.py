@@ -37,8 +37,9 @@ class BeltCircles(Aligner[AlignerOptions]):
         """Compare a frame's belt with the calibration; StageError where the circles have moved too far."""
         model = model_of(calibration, moved)
         fit = fitted(peaks, model)
+        if fit.outer_peaks >= PEAKS_MIN:
+            refuse_far(fit.outer_peaks, fit.outer_fit, _LIGHT)
         if fit.used < PEAKS_MIN:
             return not_compared()
-        refuse_far(fit.outer_peaks, fit.outer_fit, _LIGHT)
         motion = FittedMotion(fit.motion, fit.covariance, model.edges, model.scale)
         return alignment_of(motion, self.options, focal_px_of(calibration), _LIGHT, 2)

@@ -1,12 +1,12 @@
 """Circles by order and continuity: which circle, and which half of it, made each curve.
 
-Model. The line of sight of a peak meets each half circle's cone at a height. Curves are cut into pieces of some
-rows, at kinks sooner; each piece may be any half whose heights there are possible. Labels cost
+Model. The line of sight of a peak meets each half circle's cone at a height. Curves are cut into pieces
+of some rows, at kinks sooner; each piece may be any half whose heights there are possible. Labels cost
 
 - along a curve: another label from one piece to the next is dear, and cheap where the curve has a kink;
-- across: of two pieces that follow each other in a row, the right one has the higher number; the surface rises
-  between them by no more than a steep slope, or is broken; and a circle that reaches the row and is not seen
-  between them costs, for something must hide it;
+- across: of two pieces that follow each other in a row, the right one has the higher number; the surface
+  rises between them by no more than a steep slope, or is broken; and a circle that reaches the row and is
+  not seen between them costs, for something must hide it;
 - alone: a piece on the belt costs less than one above it, and a piece that is no circle's light costs most.
 
 The cheapest labels are found by passing costs to and fro between neighbours (min-sum; Kschischang, Frey,
@@ -19,6 +19,7 @@ its label is then told by nothing. Source: our own; the costs are those of `plan
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -40,7 +41,7 @@ _STEP_PX = 3.0
 _PIECE_ROWS = 12
 """Longest piece: over so many rows a label is the same unless there is a kink."""
 _KINK_PX = 1.5
-"""By which a peak lies beside the line through the two before it, where a curve has a kink: noise is a tenth."""
+"""By which a peak lies beside the line through the two before it at a kink: noise is a tenth."""
 _BELOW_MM, _ABOVE = 1.0, 0.05
 """Heights reach below the belt by so much, and above the greatest one by this share of it."""
 _BELT_MM = 1.0
@@ -69,8 +70,9 @@ _EVIDENCE_MIN = 8.0
 """Cost of the next best label over the best, from which on a label is given: odds of 1 to 50."""
 _LABELLED_MIN = 0.5
 """Share of the peaks with a label: of another pattern's a third gets one."""
-_ON_BELT_MIN = 0.05
-"""Share of the peaks on the belt's circles: a product that covers all but the outermost leaves a tenth."""
+_ON_BELT_MIN = 0.3
+"""Of the outermost peaks of all rows, that lie on the belt's circles: a product may cover two in three, and
+of an image that was turned a tenth does by chance."""
 
 
 class CircleOrder(Coder[BridgingOptions]):
@@ -94,14 +96,13 @@ class CircleOrder(Coder[BridgingOptions]):
         view = calibration.view
         if view is None or not len(view.cones):
             raise StageError("the calibration has no cones of circles", hint="calibrate with pinhole-circles")
-        rest = calibrated_rest_lines(peaks, calibration)
         pieces = _pieces_of(peaks)
         evidence, label = _decided(_problem(peaks, pieces, calibration, view))
         sure = (label >= 0) & (evidence >= _EVIDENCE_MIN)
         given = np.where(sure, label, np.where(label >= 0, AMBIGUOUS, UNLABELLED))
         stripe = keep_order(peaks, given[pieces.of])
-        _refuse_other_pattern(stripe, rest, len(view.cones))
-        return bridged(
+        rest = _rest_of_these(peaks, stripe, calibration, len(view.cones))
+        found = bridged(
             peaks,
             stripe,
             np.tanh(evidence / 4.0)[pieces.of],
@@ -110,20 +111,27 @@ class CircleOrder(Coder[BridgingOptions]):
             smallest_product_points=self.options.smallest_product_points,
             reasons=reasons_of(rest),
         )
+        return replace(found, circles=True)
 
 
-def _refuse_other_pattern(stripe: Integers, rest: RestLines, halves: int) -> None:
-    labelled, on_belt = float((stripe >= 0).mean()), float((rest.line >= 0).mean())
+def _rest_of_these(peaks: Peaks, stripe: Integers, calibration: Calibration, halves: int) -> RestLines:
+    """Give the rest lines; StageError where the light is not of the calibrated circles."""
+    labelled = float((stripe >= 0).mean())
     if labelled < _LABELLED_MIN:
         raise StageError(
             f"only {labelled:.0%} of the peaks can be light of the {halves // 2} calibrated circles",
             hint="another pattern, a turned image, or a rig that has moved?",
         )
+    rest = calibrated_rest_lines(peaks, calibration)
+    rows = np.flatnonzero(np.diff(peaks.row_start) > 0)
+    outermost = np.concatenate([peaks.row_start[rows], peaks.row_start[rows + 1] - 1])
+    on_belt = float((rest.line[outermost] >= 0).mean())
     if on_belt < _ON_BELT_MIN:
         raise StageError(
-            f"only {on_belt:.0%} of the peaks lie where the calibrated circles meet the belt",
+            f"only {on_belt:.0%} of the outermost peaks lie where the calibrated circles meet the belt",
             hint="is bare belt seen beside the product, and are these the circles that were calibrated?",
         )
+    return rest
 
 
 class _Pieces(NamedTuple):
@@ -224,7 +232,7 @@ def _across(
     share = np.clip((row[:, None] - begin) / np.maximum(end - begin, 1), 0.0, 1.0)
 
     def between(of_ends: Floats) -> Floats:
-        return of_ends[..., 0] + (of_ends[..., 1] - of_ends[..., 0]) * share[..., None]
+        return np.asarray(of_ends[..., 0] + (of_ends[..., 1] - of_ends[..., 0]) * share[..., None])
 
     z = between(heights[beside])  # (pair, 2, candidate)
     x = between(np.stack([peaks.x_px[pieces.first[beside]], peaks.x_px[pieces.last[beside]]], -1)[:, :, None])
@@ -232,13 +240,15 @@ def _across(
     rise = np.abs(z[:, 1, None, :] - z[:, 0, :, None])
     cost = np.minimum((rise / (_STEEP * apart_mm[:, None, None])) ** 2, _BROKEN)
     one, other = stripe[beside[:, 0]][:, :, None], stripe[beside[:, 1]][:, None, :]
-    reach = np.cumsum(_reaching(calibration, view), axis=0)  # (half, row) how many reach the row, up to it
+    reach: Integers = np.cumsum(
+        _reaching(calibration, view), axis=0
+    )  # (half, row) how many reach the row, up to it
     at = np.clip(np.rint(row).astype(np.int64), 0, reach.shape[1] - 1)[:, None, None]
-    hidden = reach[np.maximum(other - 1, 0), at] - reach[np.maximum(one, 0), at]
+    hidden: Integers = reach[np.maximum(other - 1, 0), at] - reach[np.maximum(one, 0), at]
     cost = cost + _HIDDEN * np.clip(hidden, 0, _HIDDEN_MAX)
     cost = np.where(other > one, cost, _DISORDER)
     nothing = (one < 0) | (other < 0)
-    return np.where(nothing, np.where(one == other, 0.0, _NOTHING_BESIDE), cost)
+    return np.asarray(np.where(nothing, np.where(one == other, 0.0, _NOTHING_BESIDE), cost), np.float64)
 
 
 def _mm_per_px(view: View) -> float:
@@ -253,7 +263,7 @@ def _reaching(calibration: Calibration, view: View) -> Flags:
     x_px = calibration.rest_line_px(rows)
     z = view.lift(np.stack(np.broadcast_arrays(x_px, rows), axis=2), np.arange(len(x_px))[:, None])[..., 2]
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.abs(z) < _BELT_MM)
+        return np.asarray(np.abs(z) < _BELT_MM, np.bool_)
 
 
 def _decided(problem: _Problem) -> tuple[Floats, Integers]:

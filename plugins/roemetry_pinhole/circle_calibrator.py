@@ -1,11 +1,11 @@
 """Calibration of camera, concentric cones of light, and belt, from a board in many poses.
 
-A place on a board in a known pose, seen from the apex of the cones, lies at the half angle of its circle from
-the axis. Marks of the boards and all circles are adjusted together: with u what marks tell (camera, poses,
-belt; covariance C from their own adjustment) and c the cones' numbers, the squares of the peaks' distances from
-their circles over their variance and of u's step over C are made smallest by Gauss and Newton's method (Triggs,
-McLauchlan, Hartley and Fitzgibbon 2000). Peaks that lie far off are left out; if the others scatter more than
-they state, the covariance grows by that.
+A place on a board in a known pose, seen from the apex of the cones, lies at the half angle of its circle
+from the axis. Marks of the boards and all circles are adjusted together: with u what marks tell (camera,
+poses, belt; covariance C from their own adjustment) and c the cones' numbers, the squares of the peaks'
+distances from their circles over their variance and of u's step over C are made smallest by Gauss and
+Newton's method (Triggs, McLauchlan, Hartley and Fitzgibbon 2000). Peaks that lie far off are left out; if
+the others scatter more than they state, the covariance grows by that.
 """
 
 from __future__ import annotations
@@ -59,9 +59,7 @@ class PinholeCirclesCalibrator(Calibrator[PinholeCirclesOptions]):
     """Camera, lens, concentric cones of light, and the belt, from a board in many poses."""
 
     Options = PinholeCirclesOptions
-    capabilities = Capabilities(
-        pattern="circles", fixture="roemetry_pinhole.conformance:circles_observed_of"
-    )
+    capabilities = Capabilities(pattern="circles", fixture="roemetry_pinhole.conformance:circles_observed_of")
 
     def calibrate(self, observed: CalibrationSet) -> Calibration:
         """Calibrate; the set's stripes are halves of circles, two for each.
@@ -99,8 +97,8 @@ class PinholeCirclesCalibrator(Calibrator[PinholeCirclesOptions]):
         left_out = 1.0 - float(found.used.mean())
         if left_out > _LEFT_OUT_MAX or found.factor > _FACTOR_MAX:
             raise CalibrationError(
-                f"circles on boards scatter {found.factor:.1f} times as much about cones from one point as they "
-                f"should, and {left_out:.0%} of their places lie far off",
+                f"circles on boards scatter {found.factor:.1f} times as much about cones from one point "
+                f"as they should, and {left_out:.0%} of their places lie far off",
                 hint="is the board flat, its pitch right, and are the circles concentric? Did projector or "
                 "camera move between the images?",
             )
@@ -260,7 +258,7 @@ def _angle(cones: Floats, place: Floats) -> Floats:
     axis /= np.linalg.norm(axis)
     away = place - cones[:3]
     along = away @ axis
-    return np.arctan2(np.linalg.norm(away - along[:, None] * axis, axis=1), along)
+    return np.asarray(np.arctan2(np.linalg.norm(away - along[:, None] * axis, axis=1), along))
 
 
 def _off(geometry: Geometry, cones: Floats, points: _Points) -> Floats:

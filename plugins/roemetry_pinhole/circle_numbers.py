@@ -1,10 +1,10 @@
 """Which circle is which on the empty belt and on boards, and from where they come.
 
-On the belt all circles are seen, so in the rows through their middle there are two curves for each, in order.
-Boards show parts of them. A circle's light comes from the projector: seen from there, what falls on a board
-would have fallen on the belt, on a circle of the belt. So places of the projector are tried, the points of all
-boards carried on to the belt, and the place from which they fall on the belt's circles is the right one; the
-circle that each falls on is its number.
+On the belt all circles are seen, so in the rows through their middle there are two curves for each, in
+order. Boards show parts of them. A circle's light comes from the projector: seen from there, what falls
+on a board would have fallen on the belt, on a circle of the belt. So places of the projector are tried,
+the points of all boards carried on to the belt, and the place from which they fall on the belt's circles
+is the right one; the circle that each falls on is its number.
 """
 
 from __future__ import annotations
@@ -76,7 +76,9 @@ class BeltCircles(NamedTuple):
         away = xy_mm - middle
         shape = _harmonics(np.arctan2(away[:, 1], away[:, 0]))
         far = np.hypot(away[:, 0], away[:, 1])
-        radius = [np.linalg.lstsq(shape[number == k], far[number == k], rcond=None)[0] for k in range(circles)]
+        radius = [
+            np.linalg.lstsq(shape[number == k], far[number == k], rcond=None)[0] for k in range(circles)
+        ]
         return cls(middle, np.array(radius))
 
     def number(self, xy_mm: Floats) -> Floats:

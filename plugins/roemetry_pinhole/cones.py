@@ -1,9 +1,10 @@
 """Concentric cones of light: what a calibration of circles says of them, and triangulation by them.
 
-All circles come from one point, round one axis: the point (three numbers), the axis (two) and a half angle for
-each circle are all there is, in the camera's frame, where the axis points away from the camera. A peak's
-undistorted ray meets its half of its cone where a quadratic says (`roemetry.records.cones`). What is not in
-the model: circles that are not concentric, and light that does not come from one point; calibration shows it.
+All circles come from one point, round one axis: the point (three numbers), the axis (two) and a half
+angle for each circle are all there is, in the camera's frame, where the axis points away from the camera.
+A peak's undistorted ray meets its half of its cone where a quadratic says (`roemetry.records.cones`).
+What is not in the model: circles that are not concentric, and light that does not come from one point;
+calibration shows it.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ from roemetry_pinhole.pinhole_plane import (
 
 METHOD = "pinhole-circles"
 LIGHT, AXIS, ANGLES = "light_mm", "axis_slope", "half_angle_rad"
-"""Parameters: (3,) where light comes from, mm, (2,) X and Y of the axis for each unit of Z, both in the camera's
-frame; (circle,) half angles, rad, increasing."""
+"""Parameters: (3,) where light comes from, mm, (2,) X and Y of the axis for each unit of Z, both in the
+camera's frame; (circle,) half angles, rad, increasing."""
 _STEP_PX = 0.01
 """Of the numerical derivative of the height by the place along the row."""
 _MOTION_STEPS = (1e-2, 1e-5, 1e-5, 1e-5)
@@ -60,10 +61,14 @@ def derived(parameters: Mapping[str, Floats], image_size: tuple[int, int]) -> di
     rows = np.arange(image_size[0], dtype=np.float64)
     half = 0.5 * (image_size[0] - 1)
     scale = half ** np.arange(_REST_DEGREE + 1)
-    fitted = np.polynomial.polynomial.polyfit((rows - half) / half, view.rest_of_cones_px(rows).T, _REST_DEGREE)
+    fitted = np.polynomial.polynomial.polyfit(
+        (rows - half) / half, view.rest_of_cones_px(rows).T, _REST_DEGREE
+    )
     middle = np.zeros(1)
     low, high = (
-        np.array([view.project(generators(cone, view.T_belt_camera[:3, 0], middle, z))[0] for cone in view.cones])
+        np.array(
+            [view.project(generators(cone, view.T_belt_camera[:3, 0], middle, z))[0] for cone in view.cones]
+        )
         for z in (0.0, 1.0)
     )
     return {

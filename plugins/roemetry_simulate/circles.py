@@ -1,8 +1,8 @@
 """Circles: a projector's cones of light as what the ray caster draws and finds.
 
-The halves of each cone stand where planes of light stand in a fan: a point X lies on the cone with apex A, axis
-a and half angle α where n·X = d + b |X − A| for n = −a / sin α, d = n·A and b = −cot α; beside it the two
-sides differ by the distance to the cone, to first order. A plane has b = 0.
+The halves of each cone stand where planes of light stand in a fan: a point X lies on the cone with apex
+A, axis a and half angle α where n·X = d + b |X − A| for n = −a / sin α, d = n·A and b = −cot α; beside it
+the two sides differ by the distance to the cone, to first order. A plane has b = 0.
 """
 
 from __future__ import annotations

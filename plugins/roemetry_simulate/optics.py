@@ -164,9 +164,9 @@ class LaserFan:
       any, light is a dot where two planes meet, the product of both profiles; (0, 5): the light is lines.
     - `across`: The second family of a grid, whose light adds to this one's; ordered against belt Y, as the
       image turned by 90° counter-clockwise shows it from left to right.
-    - `halves`, shape (N, 4): Of circles, whose halves stand for planes: b of n·X = d + b |X − projector|, with
-      an n that makes both sides' difference a distance, and the direction (3,) in which the half lies from the
-      axis. (0, 4): the light is in planes.
+    - `halves`, shape (N, 4): Of circles, whose halves stand for planes: b of n·X = d + b |X − projector|,
+      with an n that makes both sides' difference a distance, and the direction (3,) from axis to half.
+      (0, 4): the light is in planes.
     """
 
     projector_mm: Floats

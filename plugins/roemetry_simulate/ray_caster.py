@@ -199,9 +199,7 @@ def _search(
                     else:
                         high = middle
                 x_px = 0.5 * (low + high)
-                f, on = _side(
-                    body, reach, pinhole, rotation, projector, planes[i], x_px, row, view, point
-                )
+                f, on = _side(body, reach, pinhole, rotation, projector, planes[i], x_px, row, view, point)
                 if not _on_half(projector, planes[i], point):
                     continue
                 if not abs(f) < _MAX_RESIDUAL_MM or x_px > columns - 0.5:

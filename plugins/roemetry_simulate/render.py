@@ -340,9 +340,7 @@ def _render_laser(
                 soft = 0.0
                 if on == 1 and below[0] > 0.0:
                     spread = math.sqrt(wide * wide + below[2] * below[2])
-                    soft = below[0] * pattern_light(
-                        planes, rows, projector, point, normal, below[1], spread
-                    )
+                    soft = below[0] * pattern_light(planes, rows, projector, point, normal, below[1], spread)
                     soft *= fan[0] / spread
                 if light == 0.0 and soft == 0.0:
                     continue

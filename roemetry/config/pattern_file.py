@@ -15,7 +15,9 @@ from roemetry.errors import ConfigurationError
 class PatternFile(Section):
     """The light's pattern on the belt."""
 
-    kind: Literal["lines", "grid", "cross-hair", "dots", "circles"] = Field(description="what the projector throws")
+    kind: Literal["lines", "grid", "cross-hair", "dots", "circles"] = Field(
+        description="what the projector throws"
+    )
     lines_x: int = Field(
         default=1, ge=1, le=200,
         description="lines one beside the other along X: stripes; of dots: columns; of circles: how many",

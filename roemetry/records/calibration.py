@@ -37,8 +37,9 @@ class Calibration(Shown):
     turn_deg: int
     """image_size, turn_deg: rows and columns of the (turned) images it was made from, and their turn."""
     rest_px: Floats
-    """(stripe, coefficient) each stripe's rest line: its x on the bare belt, px, as a polynomial in the row
-    counted from the image's middle row, lowest power first. Of circles, whose lines `view` has, for readers."""
+    """(stripe, coefficient) each stripe's rest line: its x on the bare belt, px, as a polynomial in the
+    row counted from the image's middle row, lowest power first. Of circles, whose lines `view` has, for
+    readers."""
     displacement_px_per_mm: Floats
     """(stripe,) shift of the stripe's peak along +x for each millimetre of height at belt level, px/mm. Its
     sign says on which side the laser stands."""

@@ -1,9 +1,9 @@
 """Circles: light as cones round one axis from one point, and where lines of sight meet them.
 
-A point P of the cone with apex A, axis a (length 1) and half angle α has a·(P − A) = cos α |P − A|. On a line
-of sight S + t w that is a quadratic in t, with two roots: as a rule one on either half of the cone. Halves are
-told by the camera's x, so each crosses a row of the image once, and is a stripe. A plane through A is a cone
-of 90°.
+A point P of the cone with apex A, axis a (length 1) and half angle α has a·(P − A) = cos α |P − A|. On a
+line of sight S + t w that is a quadratic in t, with two roots: as a rule one on either half of the cone.
+Halves are told by the camera's x, so each crosses a row of the image once, and is a stripe. A plane
+through A is a cone of 90°.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def generators(cone: Floats, camera_x: Floats, azimuth: Floats, z_mm: float) -> 
 
 
 def turned_generators(cone: Floats, camera_x: Floats, azimuth: Floats) -> Floats:
-    """Give (azimuth, 3) directions of length 1 in which a half's light goes, at angles from its middle, rad."""
+    """Give (azimuth, 3) directions of length 1 of a half's light, at angles from its middle, rad."""
     axis, angle = cone[3:6], float(cone[6])
     across = camera_x - (axis @ camera_x) * axis
     across = across / np.linalg.norm(across)
@@ -83,6 +83,4 @@ def touching_planes(cones: Floats, camera_x: Floats) -> Floats:
 
 
 def _dot(one: Floats, other: Floats) -> Floats:
-    return np.asarray(
-        one[..., 0] * other[..., 0] + one[..., 1] * other[..., 1] + one[..., 2] * other[..., 2]
-    )
+    return np.asarray(one[..., 0] * other[..., 0] + one[..., 1] * other[..., 1] + one[..., 2] * other[..., 2])

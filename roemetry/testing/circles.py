@@ -63,7 +63,7 @@ class CircleRig(LinearRig):
         plain = LinearRig.calibration(self)
         return replace(plain, view=self.circle_view(), height_range_mm=(0.0, 25.0))
 
-    def dome(self, height_mm: float) -> Surface:
+    def circle_dome(self, height_mm: float) -> Surface:
         """Give a dome over all but the outermost circles, smooth down to the belt."""
         reach = (self.circles - 1.2) * self.pitch_mm
 
@@ -88,8 +88,10 @@ class CircleRig(LinearRig):
         found = np.array(points)
         return found, view.project(found)
 
-    def x_on_rows(self, surface: Surface, keep: Callable[[Floats], Flags] | None = None) -> Floats:
-        """(stripe, row) where halves cross rows, px; NaN where they are steeper than rows can tell.
+    def x_on_rows(
+        self, surface: Surface, keep: Callable[[Floats], Flags] | None = None, steepest: float = STEEP_MAX
+    ) -> Floats:
+        """(stripe, row) where halves cross rows, px; NaN where they are steeper than so many px a row.
 
         `keep` says of (n, 3) points which of them are seen.
         """
@@ -97,7 +99,7 @@ class CircleRig(LinearRig):
         rows = np.arange(self.rows, dtype=np.float64)
         found = np.full((self.stripes, self.rows), np.nan)
         for stripe, (at, (x, y)) in enumerate(zip(points, places.transpose(0, 2, 1), strict=True)):
-            seen = np.abs(np.gradient(x)) <= STEEP_MAX * np.abs(np.gradient(y))
+            seen = np.abs(np.gradient(x)) <= steepest * np.abs(np.gradient(y))
             seen &= np.ones_like(seen) if keep is None else keep(at)
             order = np.argsort(y)
             inside = np.interp(rows, y[order], seen[order].astype(np.float64), 0.0, 0.0) == 1.0
