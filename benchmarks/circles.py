@@ -1,4 +1,4 @@
-"""``python -m benchmarks circles``: circles against their truth, on the products and at the light of `patterns`.
+"""``python -m benchmarks circles``: circles against their truth, on products and at the light of `patterns`.
 
 Products that the ray-caster draws with the rig of `recipes/potato_circles`, measured with its calibration.
 Rendered images are kept in a folder and used again, those in plain light together with `patterns`.
@@ -13,7 +13,16 @@ import numpy as np
 
 from benchmarks.command import parser_of
 from benchmarks.patterns import (
-    DOTS, FAMILIES, NEAR_PX, PAGE, VOLUME_HEAD, Volumes, judged_lines, off_cells, rendered, tell,
+    DOTS,
+    FAMILIES,
+    NEAR_PX,
+    PAGE,
+    VOLUME_HEAD,
+    Volumes,
+    judged_lines,
+    off_cells,
+    rendered,
+    tell,
 )  # fmt: skip
 from benchmarks.tables import table
 from roemetry import Recipe
