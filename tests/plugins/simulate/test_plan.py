@@ -24,7 +24,7 @@ from roemetry_simulate.plan_model import (
     steepest_slopes_deg,
 )
 from roemetry_simulate.plan_tables import ellipsoid
-from roemetry_simulate.planner import RigPlanner, simulated_scatter, space_of
+from roemetry_simulate.planner import RigPlanner, as_lines, simulated_scatter, space_of
 from roemetry_simulate.render import Sensor
 from roemetry_simulate.scene import RayCasterOptions, rig_of
 from roemetry_tools.plan.page import plan_of
@@ -307,3 +307,16 @@ def test_maps_hold_the_worst_along_y():
     assert (one.values[seen] >= middle[seen] - 1e-12).all()
     # on the belt all three are in view, and the farthest is 5 % coarser
     assert (one.values[0][seen[0]] > 1.02 * middle[0][seen[0]]).all()
+
+
+def test_other_light_than_lines_is_planned_as_the_lines_of_the_middle_row() -> None:
+    for pattern, count in (("circles", 22), ("grid", 15), ("dots", 20)):
+        scene = Scene.load(f"recipes/potato_{pattern}/simulated.yaml").simulator.options
+        lines, said = as_lines(scene)
+        assert [reason.code for reason in said] == ["pattern-as-lines"]
+        assert lines.laser.count == count
+        assert getattr(lines.laser, pattern) is None
+    # halves of circles stand 8 mm apart where the middle row crosses them, seen square to the axis
+    lines, _ = as_lines(Scene.load("recipes/potato_circles/simulated.yaml").simulator.options)
+    assert np.abs(np.diff(lines.laser.feet_mm) - 8.2).max() < 0.6
+    assert as_lines(lines) == (lines, ())
