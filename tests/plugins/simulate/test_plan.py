@@ -316,7 +316,9 @@ def test_other_light_than_lines_is_planned_as_the_lines_of_the_middle_row() -> N
         assert [reason.code for reason in said] == ["pattern-as-lines"]
         assert lines.laser.count == count
         assert getattr(lines.laser, pattern) is None
-    # halves of circles stand 8 mm apart where the middle row crosses them, seen square to the axis
+    # a half leaves the projector at its angle from an axis that leans by 109 mm on 470 mm
     lines, _ = as_lines(Scene.load("recipes/potato_circles/simulated.yaml").simulator.options)
-    assert np.abs(np.diff(lines.laser.feet_mm) - 8.2).max() < 0.6
+    angle = np.arctan(8.0 * (np.arange(-11, 11) + 0.5) / np.hypot(109.0, 470.0))
+    true_mm = 105.0 - 470.0 * np.tan(np.arctan(109.0 / 470.0) - angle)
+    assert np.abs(np.array(lines.laser.feet_mm) - true_mm).max() < 0.2  # Y of row and axis differ by 1 mm
     assert as_lines(lines) == (lines, ())
