@@ -10,7 +10,8 @@ and so are pieces of few rows.
 Along a row the light of a curve that bends falls more steeply on its outside. With the distance from the
 curve d = u cos θ + u² sin² θ / 2R, u along the row, the Gaussian exp(−d² / 2σ²) has a cubic term that
 shifts the fitted place inwards by κ sin² θ σ² x″, for x″ = 1 / (R cos³ θ) the bend of x over rows. Where
-the fit weighs pixels by their light κ is 1.5, by its square 0.75; drawn circles say 0.8. It is taken off.
+the fit weighs pixels by their light κ is 1.5, by its square 0.75: `gaussian` is near the first where it knows
+the sensor, near the second where not. It is taken off, and counts as uncertain by as much.
 
 It fails where circles stand nearer together than three of their widths. Source: our own.
 """
@@ -35,12 +36,14 @@ _STEP_PX = 3.0
 """From row to row, by which a curve that is not too steep moves, and one that noise moves a pixel more."""
 _HALF_ROWS = 4
 """To both sides, over which a slope is taken: noise of 0.2 px makes it wrong by 0.03."""
-_INWARDS = 0.8
-"""κ, see above: median of 386 places of drawn circles, nine in ten within 0.12 of it."""
-_INWARDS_MAX_PX = 0.12
-"""Where more would be taken off, it is not known well enough, px."""
-_INWARDS_STD = 0.2
-"""Of what is taken off, that it may be wrong by."""
+_INWARDS_UNKNOWN, _INWARDS_KNOWN = 0.8, 1.5
+"""κ, see above, where the sensor is not known and where it is: of 386 places of drawn circles and 1,148
+places on the belt of rendered ones, whose speckle lets bright pixels weigh no more."""
+_BENT_MAX_PX = 0.15
+"""sin² θ σ² x″, px, beyond which the shift's first order no longer holds."""
+_INWARDS_STD = 1.0
+"""Of what is taken off, that it may be wrong by: on bodies whose light falls off across the curve κ is
+2.5 to 4."""
 _LEAST_ROWS = 5
 """Shorter pieces are glints, or the ends of a circle."""
 
@@ -73,10 +76,12 @@ class CircleCurves(Extractor[CircleCurvesOptions]):
         piece, _ = trace_fragments(peaks.row_start, peaks.x_px, _STEP_PX)
         slope, bend, rows = _slopes(piece, peaks.x_px)
         sigma_px = peaks.width_px / FWHM_OF_SIGMA
+        inwards = _INWARDS_UNKNOWN if frame.sensor is None else _INWARDS_KNOWN
         with np.errstate(invalid="ignore"):
             # σ across the curve is cos θ times that along the row, and sin² θ cos² θ = s² / (1 + s²)²
-            inwards_px = _INWARDS * (slope * sigma_px / (1.0 + slope**2)) ** 2 * bend
-            good = (np.abs(slope) <= STEEP_MAX) & (np.abs(inwards_px) <= _INWARDS_MAX_PX)
+            bent_px = (slope * sigma_px / (1.0 + slope**2)) ** 2 * bend
+            good = (np.abs(slope) <= STEEP_MAX) & (np.abs(bent_px) <= _BENT_MAX_PX)
+        inwards_px = inwards * bent_px
         kept = np.flatnonzero(good & (rows >= _LEAST_ROWS))
         x_px = np.clip(peaks.x_px - inwards_px, -0.5, frame.size[1] - 0.5)[kept]
         order = np.lexsort((x_px, peaks.row[kept]))

@@ -70,7 +70,7 @@ class PinholeCirclesCalibrator(Calibrator[PinholeCirclesOptions]):
             No board, too few poses, no board on the belt or no image of the empty belt; another number of
             circles on the belt; circles on boards that are not the belt's, or do not agree.
         """
-        options, size = self.options, observed.observations[0].frame.size
+        options = self.options
         if observed.board is None:
             raise CalibrationError("no board is described", hint="add `board:` to the rig file")
         belts = observed.showing("belt")
@@ -81,6 +81,7 @@ class PinholeCirclesCalibrator(Calibrator[PinholeCirclesOptions]):
                 f"{observed.stripe_count} stripes are not the halves of circles",
                 hint="give the rig a pattern of kind circles, or an even number of stripes",
             )
+        size = observed.observations[0].frame.size
         seen = Seen()
         board_views(observed, seen)
         known = None if options.camera is None else read_camera(options.camera)

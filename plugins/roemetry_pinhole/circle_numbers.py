@@ -19,7 +19,7 @@ from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.tracing import trace_fragments
 
 _STEP_PX = 3.0  # from row to row, by which a curve that goes on moves
-_LEAST_ROWS = 20  # of a curve on the belt: shorter ones are dirt
+_LEAST_ROWS = 12  # of a curve on the belt: shorter ones are dirt
 _MIDDLE_ROWS_MIN = 8  # in which as many curves are seen
 _HARMONICS = 2  # of a circle's radius round the middle: on the belt circles are ellipses, nearly circles
 _TRIED = 300  # points of boards that are carried to the belt for each place
