@@ -200,11 +200,13 @@ def labels(seed: int, count: int, folder: Path) -> str:
 
 
 def judged_lines(trace: Trace, truth: StripeTruth | None) -> Any:
-    """Count peaks of both families on products, as `_judged` does; nothing where there is no map."""
+    """Count peaks of all families on products, as `_judged` does; nothing where there is no map."""
     if trace.peaks is None or trace.stripes is None or truth is None:
         return np.zeros(4, np.int64)
     counts = _judged(trace.peaks, trace.stripes, truth)
-    assert trace.peaks.across is not None and trace.stripes.across is not None and truth.across is not None
+    if trace.peaks.across is None:
+        return counts
+    assert trace.stripes.across is not None and truth.across is not None
     return counts + _judged(trace.peaks.across, trace.stripes.across, truth.across)
 
 

@@ -231,7 +231,7 @@ def markdown() -> str:
     """Write a heading and a table for the checks of every stage, and of each kind."""
     parts = [_checks("Every stage", ANY)]
     parts += [_checks(kind.capitalize(), checks) for kind, checks in OF_KIND.items()]
-    for pattern, light in (("dots", "dots"), ("grid", "a grid")):
+    for pattern, light in (("dots", "dots"), ("grid", "a grid"), ("circles", "circles")):
         of_kind = OF_PATTERN[pattern].items()
         parts += [_checks(f"{kind.capitalize()} of {light}", checks) for kind, checks in of_kind]
     return "\n".join(parts)

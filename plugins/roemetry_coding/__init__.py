@@ -32,6 +32,13 @@ def roemetry_stages() -> Iterable[StageEntry]:
         reference="our own",
     )
     yield StageEntry(
+        kind="aligner",
+        name="belt-circles",
+        target="roemetry_coding.belt_circles:BeltCircles",
+        summary="The same by circles on the belt",
+        reference="our own",
+    )
+    yield StageEntry(
         kind="coder",
         name="ordered",
         target="roemetry_coding.ordered:Ordered",
@@ -58,6 +65,13 @@ def roemetry_stages() -> Iterable[StageEntry]:
         target="roemetry_coding.pieces:Pieces",
         summary="Without a calibration: joins broken stripes and counts them where order and direction agree",
         reference="our own",
+    )
+    yield StageEntry(
+        kind="coder",
+        name="circle-order",
+        target="roemetry_coding.circles:CircleOrder",
+        summary="Halves of circles by their cones, their order and the surface's continuity",
+        reference="Kschischang, Frey, Loeliger (2001), IEEE Trans. Inf. Theory 47:498; costs are ours",
     )
     yield StageEntry(
         kind="coder",

@@ -61,6 +61,13 @@ def roemetry_stages() -> Iterable[StageEntry]:
         reference="Bigün, Granlund (1987), Optimal orientation detection of linear symmetry; ours",
     )
     yield StageEntry(
+        kind="extractor",
+        name="circle-curves",
+        target="roemetry_peaks.circle_curves:CircleCurves",
+        summary="Left and right halves of circles, traced across rows as far as these tell where they are",
+        reference="Guo (2011), as gaussian; tracing is ours",
+    )
+    yield StageEntry(
         kind="smoother",
         name="local-polynomial",
         target="roemetry_peaks.local_polynomial:LocalPolynomial",

@@ -25,6 +25,12 @@ _STAGES = (
     ("triangulator", "pinhole-grid", "grid:PinholeGrid",
      "Each peak's undistorted ray meets its line's plane of light, of either family",
      "Hartley and Zisserman (2004), chapters 6 and 7"),
+    ("calibrator", "pinhole-circles", "circle_calibrator:PinholeCirclesCalibrator",
+     "Camera, lens, concentric cones of light, and belt from a board in many poses",
+     "As pinhole-plane; cones joined to the marks' adjustment, Triggs et al. (2000)"),
+    ("triangulator", "pinhole-circles", "cones:PinholeCircles",
+     "Each peak's undistorted ray meets its half circle's cone of light",
+     "Hartley and Zisserman (2004), chapter 6; the quadratic is ours"),
 )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from roemetry_pinhole.pinhole_plane import METHOD, derived, flat
 
 if TYPE_CHECKING:
     from roemetry.testing import LinearRig
+    from roemetry.testing.circles import CircleRig
     from roemetry.testing.dots import DotRig
     from roemetry.testing.scenes import GridRig
 
@@ -263,3 +264,58 @@ def _met(rig: DotRig, start: Floats, way: Floats, plane: Floats, pose: tuple[Flo
 def _on_squares(place: Floats) -> Flags:
     """Say which places (n, 2), in pitches, lie on the board's squares."""
     return np.asarray(((place > 0.02) & (place < [_BOARD.columns - 0.02, _BOARD.rows - 0.02])).all(axis=1))
+
+
+def circles_of(rig: CircleRig) -> Calibration:
+    """Give the calibration of a rig with circles, a pinhole camera 300 mm over the belt."""
+    from roemetry_pinhole import cones
+
+    size, lit = (rig.rows, rig.columns), rig.cones()
+    flip = np.array([1.0, -1.0, -1.0])
+    axis = lit[0, 3:6] * flip
+    parameters = {
+        "focal_px": np.full(2, _NEAR_MM / rig.mm_per_px),
+        "principal_px": np.array([rig.middle_column, rig.middle_row]),
+        "distortion": np.zeros(8),
+        "belt_per_mm": np.array([0.0, 0.0, 1.0 / _NEAR_MM]),
+        cones.LIGHT: lit[0, :3] * flip + [0.0, 0.0, _NEAR_MM],
+        cones.AXIS: axis[:2] / axis[2],
+        cones.ANGLES: lit[rig.circles :, 6],
+    }
+    count = flat(parameters).size
+    return Calibration(
+        method=cones.METHOD,
+        image_size=size,
+        turn_deg=0,
+        height_range_mm=(0.0, 25.0),
+        covariance=np.zeros((count, count)),
+        extractor={"use": "exact"},
+        **cones.derived(parameters, size),
+    )
+
+
+@lru_cache(maxsize=4)
+def circles_observed_of(rig: CircleRig) -> CalibrationSet:
+    """Give a chessboard in many poses under circles that scatter a little, and the belt."""
+    from roemetry.testing.circles import level
+
+    none = rig.circle_peaks(np.full((rig.stripes, rig.rows), np.nan))[0]
+    observations = [_belt(rig, rig.circle_peaks(rig.x_on_rows(level), _SCATTER_PX)[0])]
+    flip = np.array([1.0, -1.0, -1.0])
+    for number in range(_POSES):
+        rotation, shift = _pose(number)
+        a, b, c = rotation[:, 2] * flip  # of the board's plane in the belt frame
+        foot = (shift - [0.0, 0.0, _NEAR_MM]) * flip
+
+        def tilted(xy: Floats, a: float = a, b: float = b, c: float = c, foot: Floats = foot) -> Floats:
+            return np.asarray(foot[2] - (a * (xy[:, 0] - foot[0]) + b * (xy[:, 1] - foot[1])) / c)
+
+        def on_it(at: Floats, rotation: Floats = rotation, shift: Floats = shift) -> Flags:
+            in_camera = at * flip + [0.0, 0.0, _NEAR_MM]
+            return _on_squares((in_camera - shift) @ rotation[:, :2] / _BOARD.pitch_mm)
+
+        lit = rig.circle_peaks(rig.x_on_rows(tilted, on_it), _SCATTER_PX)[0]
+        observations += _pair(rig, number, rotation, shift, none, lit)
+    half = 0.5 * _BOARD.pitch_mm * np.array([_BOARD.columns, _BOARD.rows, 0.0])
+    shift = np.array([0.0, 0.0, _NEAR_MM - _BOARD.thickness_mm]) - half
+    return _set(rig, observations + _pair(rig, _POSES, np.eye(3), shift, none, None))

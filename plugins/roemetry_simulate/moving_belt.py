@@ -78,7 +78,7 @@ class MovingBeltOptions(RayCasterOptions):
     @field_validator("laser")
     @classmethod
     def _is_a_line(cls, laser: RayCasterLaser) -> RayCasterLaser:
-        for name in ("dots", "grid"):
+        for name in ("dots", "grid", "circles"):
             if getattr(laser, name) is not None:
                 raise MisfitError(((name,), "a belt scan is made of lines"))
         return laser

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from roemetry.records.cones import meet_cones
 from roemetry.records.view import distort, undistort
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.lens import lens_from, undistorted_place
@@ -163,6 +164,9 @@ class LaserFan:
       any, light is a dot where two planes meet, the product of both profiles; (0, 5): the light is lines.
     - `across`: The second family of a grid, whose light adds to this one's; ordered against belt Y, as the
       image turned by 90° counter-clockwise shows it from left to right.
+    - `halves`, shape (N, 4): Of circles, whose halves stand for planes: b of n·X = d + b |X − projector|,
+      with an n that makes both sides' difference a distance, and the direction (3,) from axis to half.
+      (0, 4): the light is in planes.
     """
 
     projector_mm: Floats
@@ -176,6 +180,7 @@ class LaserFan:
     divergence_mrad: float = 0.0
     rows: Floats = field(default_factory=lambda: np.empty((0, 5)))
     across: LaserFan | None = None
+    halves: Floats = field(default_factory=lambda: np.empty((0, 4)))
 
     def __post_init__(self) -> None:
         if self.sigma_mm <= 0.0 or self.line_sigma_deg <= 0.0:
@@ -205,14 +210,30 @@ class LaserFan:
         unit: Floats = ways / np.linalg.norm(ways, axis=-1, keepdims=True)
         return unit
 
+    def cones(self) -> Floats:
+        """Give (N, 7) the halves of circles as `View.cones` has them."""
+        size = np.linalg.norm(self.normals, axis=1)
+        side = np.sign(self.halves[:, 1:] @ self.halves[-1, 1:])
+        angle = side * np.arcsin(1.0 / size)
+        apex = np.broadcast_to(self.projector_mm, self.normals.shape)
+        return np.column_stack([apex, -self.normals / size[:, None], angle])
+
     def distance_mm(self, points_mm: ArrayLike) -> Floats:
         """Signed distances n·X − d (mm), shape (..., N), of belt points, shape (..., 3), to all planes."""
-        distances: Floats = np.asarray(points_mm, dtype=np.float64) @ self.normals.T - self.offsets_mm
+        points = np.asarray(points_mm, dtype=np.float64)
+        distances: Floats = points @ self.normals.T - self.offsets_mm
+        if len(self.halves):
+            away = np.linalg.norm(points - self.projector_mm, axis=-1)
+            distances = distances - away[..., None] * self.halves[:, 0]
         return distances
 
     def x_mm(self, y_mm: ArrayLike, z_mm: ArrayLike) -> Floats:
         """X of each plane (mm), shape S + (N,), at belt Y and Z (mm) that broadcast to one shape S."""
         y, z = np.broadcast_arrays(np.asarray(y_mm, dtype=np.float64), np.asarray(z_mm, dtype=np.float64))
+        if len(self.halves):
+            start = np.stack([np.zeros_like(y), y, z], axis=-1)[..., None, :]
+            along = np.array([1.0, 0.0, 0.0])
+            return np.asarray(meet_cones(start, along, self.cones(), self.halves[-1, 1:])[..., 0])
         rest = self.offsets_mm - y[..., None] * self.normals[:, 1] - z[..., None] * self.normals[:, 2]
         x: Floats = rest / self.normals[:, 0]
         return x

@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,23 +81,46 @@ class RigPlanner(Planner[RayCasterOptions]):
 
     def plan(self, *, simulate: bool) -> Plan:
         """Plan the rig; raise StageError where heights do not show in its image."""
-        if self.options.laser.dots is not None or self.options.laser.grid is not None:
-            raise StageError(
-                "dots and grids cannot be planned",
-                hint="plan the same rig with lines: leave laser.dots or laser.grid out",
-            )
-        space = space_of(self.options)
+        scene, pattern = as_lines(self.options)
+        space = space_of(scene)
         _refuse(space)
-        bodies = bodies_of(self.options, space.rig)
+        bodies = bodies_of(scene, space.rig)
         answer = None
         if bodies is not None and space.rig.laser.count > 1:
             space = replace(space, product_mm=bodies.height_mm)
-            answer = answer_of(self.options, space, bodies)
+            # what to change of a rig is worked out for lines alone
+            answer = None if pattern else answer_of(scene, space, bodies)
         tables, curves = plan_tables.tables_and_curves(space, bodies)
         if simulate:
             tables.append(_check_table(space))
-        figures, reasons = _figures(self.options, space), tuple(_reasons(self.options, space))
+        figures, reasons = _figures(scene, space), (*pattern, *_reasons(scene, space))
         return Plan(figures, space.maps(), tuple(tables), tuple(curves), _sketch(space), reasons, answer)
+
+
+def as_lines(scene: RayCasterOptions) -> tuple[RayCasterOptions, tuple[Reason, ...]]:
+    """Give a scene with lines where the middle row sees other light, and what a plan of these leaves open.
+
+    The plan is made along that row. There the columns of dots and the lines of a grid that cross it are what
+    lines are, and so are the halves of circles, which cross it upright.
+    """
+    laser = scene.laser
+    if laser.circles is not None:
+        rig = rig_of(scene)
+        row = 0.5 * (rig.camera.height_px - 1)
+        middle = rig.camera.ray(0.5 * (rig.camera.width_px - 1), row)
+        y_mm = rig.camera.centre_mm[1] - rig.camera.centre_mm[2] / middle[2] * middle[1]
+        feet = rig.laser.x_mm(y_mm, 0.0)
+        reached = feet[np.isfinite(feet)].tolist()
+        lines: dict[str, Any] = {"circles": None, "belt_x_mm": reached, "yaw_deg": 0.0}
+        text = "circles: planned where the middle row crosses them; nothing is said of their tops and bottoms"
+    elif laser.grid is not None:
+        lines, text = {"grid": None}, "a grid: its lines that cross rows are planned, those across are not"
+    elif laser.dots is not None:
+        lines, text = {"dots": None}, "dots: a column is planned as a line, of which dots show places alone"
+    else:
+        return scene, ()
+    same = scene.model_copy(update={"laser": laser.model_copy(update=lines)})
+    return same, (Reason("pattern-as-lines", text),)
 
 
 def space_of(scene: RayCasterOptions) -> Space:

@@ -108,6 +108,8 @@ def stripe_centres(camera: Camera, laser: LaserFan, solid: Solid, *, step_px: fl
     """
     # a dead plane lights nothing
     planes = np.column_stack([laser.normals, laser.offsets_mm, laser.peak_grey])
+    if len(laser.halves):
+        planes = np.column_stack([planes, laser.halves])
     found = _search(
         solid.body(), camera.packed(), camera.rotation, laser.projector_mm, planes, camera.height_px,
         camera.width_px, step_px,
@@ -119,15 +121,38 @@ def stripe_centres(camera: Camera, laser: LaserFan, solid: Solid, *, step_px: fl
 
 @kernel
 def _side(
-    body: AnyBody, reach: Reach, pinhole: Floats, rotation: Floats, plane: Floats, x_px: float, y_px: float,
-    view: Floats, point: Floats,
+    body: AnyBody, reach: Reach, pinhole: Floats, rotation: Floats, projector: Floats, plane: Floats,
+    x_px: float, y_px: float, view: Floats, point: Floats,
 ) -> tuple[float, int]:  # fmt: skip
     """Signed distance to the plane of what the camera sees at an image point; also on what it lies."""
     camera_ray(pinhole, rotation, x_px, y_px, view)
     on = first_hit_in(body, reach, pinhole[:3], view, 1e-12, point)
     if on < 0:
         return np.nan, on
-    return plane[0] * point[0] + plane[1] * point[1] + plane[2] * point[2] - plane[3], on
+    off = plane[0] * point[0] + plane[1] * point[1] + plane[2] * point[2] - plane[3]
+    return off - _bend(projector, plane, point), on
+
+
+@kernel
+def _bend(projector: Floats, plane: Floats, point: Floats) -> float:
+    """By how much a cone's distance is less than that of the plane with its normal; 0 of a plane."""
+    if plane.shape[0] == 5:
+        return 0.0
+    away = 0.0
+    for m in range(3):
+        away += (point[m] - projector[m]) ** 2
+    return plane[5] * math.sqrt(away)
+
+
+@kernel
+def _on_half(projector: Floats, plane: Floats, point: Floats) -> bool:
+    """Say whether a point of a cone lies on its half; of a plane all do."""
+    if plane.shape[0] == 5:
+        return True
+    along = 0.0
+    for m in range(3):
+        along += plane[6 + m] * (point[m] - projector[m])
+    return along > 0.0
 
 
 @kernel
@@ -155,6 +180,7 @@ def _search(
                     sides[k, i] = -planes[i, 3]
                     for m in range(3):
                         sides[k, i] += planes[i, m] * point[m]
+                    sides[k, i] -= _bend(projector, planes[i], point)
         for i in range(count):
             if planes[i, 4] == 0.0:
                 continue
@@ -165,13 +191,17 @@ def _search(
                 low_negative = sides[k, i] <= 0.0
                 while high - low > _TOLERANCE_PX:
                     middle = 0.5 * (low + high)
-                    f, on = _side(body, reach, pinhole, rotation, planes[i], middle, row, view, point)
+                    f, on = _side(
+                        body, reach, pinhole, rotation, projector, planes[i], middle, row, view, point
+                    )
                     if (f <= 0.0) == low_negative:
                         low = middle
                     else:
                         high = middle
                 x_px = 0.5 * (low + high)
-                f, on = _side(body, reach, pinhole, rotation, planes[i], x_px, row, view, point)
+                f, on = _side(body, reach, pinhole, rotation, projector, planes[i], x_px, row, view, point)
+                if not _on_half(projector, planes[i], point):
+                    continue
                 if not abs(f) < _MAX_RESIDUAL_MM or x_px > columns - 0.5:
                     continue  # a jump from one surface to another, not a crossing
                 normal_at(body, on, point, normal)

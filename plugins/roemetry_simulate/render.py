@@ -118,6 +118,8 @@ def _light(
     """
     camera, laser = rig.camera, rig.laser
     planes = np.column_stack([laser.normals, laser.offsets_mm, laser.peak_grey])
+    if len(laser.halves):  # one half stands for the whole circle
+        planes = np.column_stack([planes, laser.halves[:, 0]])[laser.count // 2 :]
     stray = np.zeros(4) if rig.stray_mm is None else np.array([*rig.stray_mm, 1.0])
     _render_laser(
         solid.body(), camera.packed(), camera.rotation, laser.projector_mm, laser.line_axis, planes,
@@ -334,11 +336,11 @@ def _render_laser(
                         mirrored = specular(gloss, albedo[4], normal, beam, view)
                         image[row, column, 2] += share * (grey * cosine + mirrored)
                 wide = width_at(fan, projector, point)
-                light = pattern_light(planes, rows, point, normal, 0.0, wide) * (fan[0] / wide)
+                light = pattern_light(planes, rows, projector, point, normal, 0.0, wide) * (fan[0] / wide)
                 soft = 0.0
                 if on == 1 and below[0] > 0.0:
                     spread = math.sqrt(wide * wide + below[2] * below[2])
-                    soft = below[0] * pattern_light(planes, rows, point, normal, below[1], spread)
+                    soft = below[0] * pattern_light(planes, rows, projector, point, normal, below[1], spread)
                     soft *= fan[0] / spread
                 if light == 0.0 and soft == 0.0:
                     continue
@@ -465,37 +467,45 @@ def width_at(fan: Floats, projector: Floats, point: Floats) -> float:
 
 @kernel
 def pattern_light(
-    planes: Floats, rows: Floats, point: Floats, normal: Floats, depth_mm: float, sigma_mm: float
-) -> float:
-    """Light of all lines, or of the dots that rows leave of them, before the angles are counted."""
-    light = planes_light(planes, point, normal, depth_mm, sigma_mm)
+    planes: Floats, rows: Floats, projector: Floats, point: Floats, normal: Floats, depth_mm: float,
+    sigma_mm: float,
+) -> float:  # fmt: skip
+    """Light of all lines or circles, or of the dots that rows leave of them, before angles are counted."""
+    light = planes_light(planes, projector, point, normal, depth_mm, sigma_mm)
     if rows.shape[0] > 0 and light > 0.0:
-        light *= planes_light(rows, point, normal, depth_mm, sigma_mm)
+        light *= planes_light(rows, projector, point, normal, depth_mm, sigma_mm)
     return light
 
 
 @kernel
-def planes_light(planes: Floats, point: Floats, normal: Floats, depth_mm: float, sigma_mm: float) -> float:
+def planes_light(
+    planes: Floats, projector: Floats, point: Floats, normal: Floats, depth_mm: float, sigma_mm: float
+) -> float:
     """Light of all planes at a depth below a point of the surface, before the angles are counted.
 
-    The planes fan from one point and are in order, so the few that are near are found by halving.
+    The planes fan from one point and are in order, so the few that are near are found by halving. Cones,
+    which have a sixth number, are in order, too.
     """
     x = point[0] - depth_mm * normal[0]
     y = point[1] - depth_mm * normal[1]
     z = point[2] - depth_mm * normal[2]
     reach = _REACH * sigma_mm
+    cones, away_mm = planes.shape[1] > 5, 0.0
+    if cones:
+        away_mm = math.sqrt((x - projector[0]) ** 2 + (y - projector[1]) ** 2 + (z - projector[2]) ** 2)
     low, high = 0, planes.shape[0]
     while low < high:
         middle = (low + high) // 2
         p = planes[middle]
-        if p[0] * x + p[1] * y + p[2] * z - p[3] >= reach:
+        bend = p[5] * away_mm if cones else 0.0
+        if p[0] * x + p[1] * y + p[2] * z - p[3] - bend >= reach:
             low = middle + 1
         else:
             high = middle
     light = 0.0
     for i in range(low, planes.shape[0]):
         p = planes[i]
-        away = p[0] * x + p[1] * y + p[2] * z - p[3]
+        away = p[0] * x + p[1] * y + p[2] * z - p[3] - (p[5] * away_mm if cones else 0.0)
         if away <= -reach:
             break
         away /= sigma_mm

@@ -29,6 +29,7 @@ from roemetry.config.scene_parts import (
 from roemetry.errors import MisfitError
 from roemetry.records.view import undistort
 from roemetry.stages import StageOptions
+from roemetry_simulate.circles import circles_through
 from roemetry_simulate.optics import (
     Camera,
     Focus,
@@ -79,8 +80,24 @@ class AcrossPart(Part):
         return np.asarray(self.centre_y_mm + self.spacing_mm * order, np.float64)
 
 
+class CirclesPart(Part):
+    """Circles round one axis, which meets the belt's X axis in the middle of the fan."""
+
+    count: int = Field(default=12, ge=1, le=100, description="how many")
+    spacing_mm: float = Field(
+        default=8.0, gt=0, le=1000,
+        description="from circle to circle across the axis at the belt, mm; the smallest has half of it as "
+        "radius",
+    )  # fmt: skip
+
+    @property
+    def radii_mm(self) -> Floats:
+        """(circle,) across the axis at the belt, mm."""
+        return np.asarray(self.spacing_mm * (np.arange(self.count) + 0.5), np.float64)
+
+
 class RayCasterLaser(LaserPart):
-    """The projector: lines, dots on them, or a grid."""
+    """The projector: lines, dots on them, a grid, or circles."""
 
     dots: AcrossPart | None = Field(
         default=None, description="light only where both kinds of line meet: dots; default: whole lines"
@@ -89,10 +106,13 @@ class RayCasterLaser(LaserPart):
         default=None, description="light of both kinds of line: a grid, or of one and one a cross hair"
     )
 
+    circles: CirclesPart | None = Field(default=None, description="circles instead of lines")
+
     @model_validator(mode="after")
     def _is_one_pattern(self) -> RayCasterLaser:
-        if self.dots is not None and self.grid is not None:
-            raise MisfitError((("grid",), "dots or a grid: leave one of both out"))
+        given = [name for name in ("dots", "grid", "circles") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise MisfitError(((given[-1],), f"{' or '.join(given)}: leave one of both out"))
         return self
 
 
@@ -221,6 +241,16 @@ def laser_of(part: LaserPart, grey_per_e_per_ms: float) -> LaserFan:
     fan = replace(fan, waist_distance_mm=part.waist_distance_mm, divergence_mrad=0.5 * part.divergence_mrad)
     if not isinstance(part, RayCasterLaser):
         return fan
+    if part.circles is not None:
+        drawn = circles_through(
+            part.projector_mm,
+            (part.centre_x_mm, 0.0, 0.0),
+            part.circles.radii_mm,
+            (1.0, 0.0, 0.0),
+            sigma_mm=fan.sigma_mm,
+            peak_grey=part.peak_e_per_ms * grey_per_e_per_ms,
+        )
+        return replace(drawn, waist_distance_mm=fan.waist_distance_mm, divergence_mrad=fan.divergence_mrad)
     if part.grid is not None:
         return with_across(fan, part.grid.feet_mm)
     return fan if part.dots is None else replace(fan, rows=rows_through(fan, part.dots.feet_mm))

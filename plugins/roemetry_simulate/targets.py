@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from roemetry.config.scene_parts import BOARDS, ON_BELT, BoardPart
 from roemetry.records import Frame
 from roemetry.records import Sensor as Noise
+from roemetry.records.cones import touching_planes
 from roemetry.stages import Simulator
+from roemetry_simulate.optics import LaserFan
 from roemetry_simulate.products.artefacts import StaircaseOptions, staircase
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.parts import PartsSolid, plane
@@ -62,11 +64,19 @@ class RigSimulator(Simulator[SceneT]):
                 "camera_matrix": [[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]],
                 "distortion": list(camera.distortion) if camera.distorts else [],
                 "T_belt_camera": camera.T_belt_camera.tolist(),
-                "planes": np.column_stack([laser.normals, laser.offsets_mm]).tolist(),
                 "projector_mm": laser.projector_mm.tolist(),
+                **_light_of(laser),
             },
             **targets.truth(board_poses(targets.board, seed)),
         }
+
+
+def _light_of(laser: LaserFan) -> dict[str, Any]:
+    """Give planes, and cones of circles, as `View` has them."""
+    if not len(laser.halves):
+        return {"planes": np.column_stack([laser.normals, laser.offsets_mm]).tolist()}
+    cones = laser.cones()
+    return {"planes": touching_planes(cones, laser.halves[-1, 1:]).tolist(), "cones": cones.tolist()}
 
 
 def take_target(scene: RayCasterOptions, rig: Rig, seed: int, kind: str, name: str) -> Frame:

@@ -41,6 +41,8 @@ _END_PX = 0.5  # a stripe's end is seen to a row, that is half a pixel either wa
 _STRAY_PX, _FARTHEST_PX = 5.0, 2.5
 """A single end farther outside than an edge is searched for is glare or a mistaken label; none counts for
 more than half of that."""
+_RIM_ROWS = 6
+"""Between a circle's end on a product and the belt, where the rim lies between: what a rim blurs."""
 _CUT = 9.0
 """Of the usual variance: the centre of a dot that a rim has cut, uncertain by as much, tells no side."""
 _BY_CHANCE = 2.6
@@ -182,6 +184,8 @@ def _best_shifted(left_px: Callable[[Floats], float]) -> float:
 def _ends_of(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> _EndBrackets | None:
     """Find the ends of what is seen of a product's stripes, and the belt next to them; None of too few."""
     ends, beyond = ends_of_stripes(stripes.x_px, stripes.seen, stripes.product, number, LEAST_ROWS)
+    if stripes.circles:
+        ends, beyond = _at_the_rim(stripes, number)
     across = stripes.across
     if across is not None:
         turned = ends_of_stripes(across.x_px, across.seen, across.product, number, LEAST_ROWS)
@@ -193,6 +197,24 @@ def _ends_of(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> _En
     if len(ends) < _LEAST_ENDS:
         return None
     return _EndBrackets(ring, unbound(scene, ring), ends, beyond, across is not None)
+
+
+def _at_the_rim(stripes: StripeMap, number: int) -> tuple[Floats, Floats]:
+    """Give what `ends_of_stripes` does, of halves of circles: ends that the belt follows closely.
+
+    Others are where a half ends, which says nothing of the product.
+    """
+    row = np.arange(stripes.rows)
+    ends, beyond = [np.empty((0, 2))], [np.empty((0, 2))]
+    for x_px, seen, product in zip(stripes.x_px, stripes.seen, stripes.product, strict=True):
+        on, belt = row[seen & (product == number)], row[seen & (product == 0)]
+        if on.size < LEAST_ROWS:
+            continue
+        for end, side in ((on[0], belt[belt < on[0]][-1:]), (on[-1], belt[belt > on[-1]][:1])):
+            if side.size and abs(int(side[0]) - int(end)) <= _RIM_ROWS:
+                ends.append(np.array([[x_px[end], end]]))
+                beyond.append(np.array([[x_px[side[0]], side[0]]]))
+    return np.concatenate(ends), np.concatenate(beyond)
 
 
 @kernel

@@ -400,7 +400,8 @@ def _seen_regions(stripes: StripeMap, size: tuple[int, int]) -> dict[int, Flags]
     """Give, by product, (row, column) the polygon through the ends of what is seen of its stripes.
 
     What a coder bridged is left out: it runs down to the belt beside the product, through its shadow. Of a
-    grid it is both families' polygons, of dots that through the ends of their columns.
+    grid it is both families' polygons, of dots that through the ends of their columns, of circles what lies
+    between the outermost.
     """
     import cv2
 
@@ -420,10 +421,22 @@ def _seen_regions(stripes: StripeMap, size: tuple[int, int]) -> dict[int, Flags]
         # stripes are displaced on the product, so their order there is that of x, not of their numbers
         ring = sorted(first) + sorted(last, reverse=True)
         mask = np.zeros(size, np.uint8)
-        cv2.fillPoly(mask, [np.rint(ring).astype(np.int32).reshape(-1, 1, 2)], 1)
+        if stripes.circles:  # they end on the product, too: it lies between the outermost in each row
+            mask |= _between_outermost(row, x_px, size)
+        else:
+            cv2.fillPoly(mask, [np.rint(ring).astype(np.int32).reshape(-1, 1, 2)], 1)
         mask[row, np.clip(np.rint(x_px).astype(np.int64), 0, size[1] - 1)] = 1
         regions[number] = mask.view(np.bool_) | regions.get(number, False)
     return dict(sorted(regions.items()))
+
+
+def _between_outermost(row: Integers, x_px: Floats, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Fill (row, column) what lies in each row between the first and the last of places."""
+    first, last = np.full(size[0], np.inf), np.full(size[0], -np.inf)
+    np.minimum.at(first, row, x_px)
+    np.maximum.at(last, row, x_px)
+    column = np.arange(size[1])
+    return ((column >= first[:, None]) & (column <= last[:, None])).astype(np.uint8)
 
 
 def _turned_back(regions: dict[int, Flags]) -> dict[int, Flags]:

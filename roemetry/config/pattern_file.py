@@ -1,4 +1,4 @@
-"""The pattern file: which lines or dots of light there are; one file for rig and scene."""
+"""The pattern file: which lines, dots or circles of light there are; one file for rig and scene."""
 
 from __future__ import annotations
 
@@ -15,10 +15,13 @@ from roemetry.errors import ConfigurationError
 class PatternFile(Section):
     """The light's pattern on the belt."""
 
-    kind: Literal["lines", "grid", "cross-hair", "dots"] = Field(description="what the projector throws")
-    lines_x: int = Field(
-        default=1, ge=1, le=200, description="lines one beside the other along X: stripes; of dots: columns"
+    kind: Literal["lines", "grid", "cross-hair", "dots", "circles"] = Field(
+        description="what the projector throws"
     )
+    lines_x: int = Field(
+        default=1, ge=1, le=200,
+        description="lines one beside the other along X: stripes; of dots: columns; of circles: how many",
+    )  # fmt: skip
     lines_y: int | None = Field(
         default=None, ge=1, le=200, description="lines one below the other along Y; of dots: in a column"
     )
@@ -33,16 +36,23 @@ class PatternFile(Section):
     def _is_whole(self) -> PatternFile:
         if self.kind == "cross-hair" and (self.lines_x, self.lines_y) not in ((1, None), (1, 1)):
             raise ValueError("a cross hair is one line along each side")
-        if self.kind == "lines" and (self.lines_y or self.spacing_y_mm):
-            raise ValueError("lines follow each other along X alone: lines_y and spacing_y_mm are for others")
+        if self.kind in ("lines", "circles") and (self.lines_y or self.spacing_y_mm):
+            raise ValueError(
+                f"{self.kind} follow each other along X alone: lines_y and spacing_y_mm are for others"
+            )
         if self.kind in ("grid", "dots") and self.lines_y is None:
             raise ValueError(f"{self.kind} need lines_y, too")
         return self
 
     @property
-    def light(self) -> Literal["lines", "grid", "dots"]:
+    def light(self) -> Literal["lines", "grid", "dots", "circles"]:
         """What stages call it: a cross hair is a grid of one line and one."""
         return "grid" if self.kind == "cross-hair" else self.kind
+
+    @property
+    def stripes(self) -> int:
+        """How many stripes there are: each circle is two, its left and its right half."""
+        return 2 * self.lines_x if self.kind == "circles" else self.lines_x
 
     @property
     def across(self) -> int | None:
@@ -68,11 +78,14 @@ class PatternFile(Section):
         wanted: dict[str, Any] = {"planes": self.lines_x}
         if self.spacing_x_mm is not None:
             wanted["spacing_mm"] = self.spacing_x_mm
-        if self.light != "lines":
-            spacing = self.spacing_y_mm or self.spacing_x_mm
-            wanted[self.light] = {"lines": self.across} | ({"spacing_mm": spacing} if spacing else {})
+        if self.kind == "circles":
+            spacing = {"spacing_mm": self.spacing_x_mm} if self.spacing_x_mm else {}
+            wanted = {"circles": {"count": self.lines_x} | spacing}
+        elif self.light != "lines":
+            apart = self.spacing_y_mm or self.spacing_x_mm
+            wanted[self.light] = {"lines": self.across} | ({"spacing_mm": apart} if apart else {})
         laser = dict(simulator.options.get("laser") or {})
-        for key in ("planes", "spacing_mm", "grid", "dots", "belt_x_mm"):
+        for key in ("planes", "spacing_mm", "grid", "dots", "circles", "belt_x_mm"):
             if laser.get(key) not in (None, wanted.get(key)):
                 raise ConfigurationError(
                     f"the pattern says {key}: {wanted.get(key)}, and laser.{key} {laser[key]}",

@@ -69,7 +69,12 @@ class SourceChoice(Section):
     options: dict[str, Any] = Field(default_factory=dict, description="the source's own options")
 
 
-DEFAULT_ALIGNERS = {"lines": "belt-lines", "grid": "belt-grid", "dots": "belt-dots"}
+DEFAULT_ALIGNERS = {
+    "lines": "belt-lines",
+    "grid": "belt-grid",
+    "dots": "belt-dots",
+    "circles": "belt-circles",
+}
 """By the triangulator's pattern."""
 DEFAULT_ASSEMBLER = "belt-motion"
 

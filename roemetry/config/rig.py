@@ -301,12 +301,13 @@ class Rig:
 
 def _with_pattern(file: RigFile, pattern: PatternFile, chooser: StageResolver) -> RigFile:
     """Give the rig with what its pattern says of stripes and calibrator."""
-    if file.stripes not in (None, pattern.lines_x):
-        chooser.fault(
-            f"the pattern has {pattern.lines_x} lines along X, `stripes` says {file.stripes}", "stripes"
-        )
+    if file.stripes not in (None, pattern.stripes):
+        has = f"{pattern.lines_x} lines along X"
+        if pattern.stripes != pattern.lines_x:
+            has = f"{pattern.stripes} halves of circles"
+        chooser.fault(f"the pattern has {has}, `stripes` says {file.stripes}", "stripes")
     calibrator = _asked(chooser, "calibrator", lambda: pattern.calibrated_by(file.calibrator))
-    return file.model_copy(update={"stripes": pattern.lines_x, "calibrator": calibrator or file.calibrator})
+    return file.model_copy(update={"stripes": pattern.stripes, "calibrator": calibrator or file.calibrator})
 
 
 def _with_laser(*images: dict[str, list[Path]]) -> bool:

@@ -37,8 +37,9 @@ class Calibration(Shown):
     turn_deg: int
     """image_size, turn_deg: rows and columns of the (turned) images it was made from, and their turn."""
     rest_px: Floats
-    """(stripe, coefficient) each stripe's rest line: its x on the bare belt, px, as a polynomial in the row
-    counted from the image's middle row, lowest power first."""
+    """(stripe, coefficient) each stripe's rest line: its x on the bare belt, px, as a polynomial in the
+    row counted from the image's middle row, lowest power first. Of circles, whose lines `view` has, for
+    readers."""
     displacement_px_per_mm: Floats
     """(stripe,) shift of the stripe's peak along +x for each millimetre of height at belt level, px/mm. Its
     sign says on which side the laser stands."""
@@ -105,6 +106,8 @@ class Calibration(Shown):
 
     def rest_line_px(self, row_px: Floats) -> Floats:
         """Rest x of every stripe at the given rows: (stripe, row) px."""
+        if self.view is not None and len(self.view.cones):
+            return self.view.rest_of_cones_px(row_px)
         from_middle = np.asarray(row_px, np.float64) - (self.image_size[0] - 1) / 2.0
         powers = from_middle[None, :] ** np.arange(self.rest_px.shape[1])[:, None]
         return self.rest_px @ powers

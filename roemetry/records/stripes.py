@@ -121,6 +121,9 @@ class StripeMap(Shown):
     then the error of x alone that moves the point as much as the whole error of the dot does."""
     across: StripeMap | None = None
     """Of a grid: the lines across, in the image turned by 90° counter-clockwise; None: there are none."""
+    circles: bool = False
+    """True where the stripes are left and right halves of circles: they end where rows do not tell where they
+    are, also on a product."""
 
     def __post_init__(self) -> None:
         check = Checker(self)

@@ -1,4 +1,4 @@
-"""The geometry of a calibrated rig: how the camera sees the belt, and where the planes of light stand.
+"""The geometry of a calibrated rig: how the camera sees the belt, and where planes or cones of light stand.
 
 A pinhole (or telecentric) camera with OpenCV's lens distortion: x′ = radial · x + tangential + thin prism,
 then the sensor's tilt. Its inverse is found by Newton's method; beyond the fold of a strong distortion there
@@ -16,6 +16,7 @@ import numpy as np
 
 from roemetry.errors import CalibrationError, DataError
 from roemetry.records.arrays import Checker, Floats
+from roemetry.records.cones import half_on_belt, meet_cones
 from roemetry.records.display import Shown
 
 
@@ -110,6 +111,10 @@ def _tilted(
     return (tilted[0], tilted[1]), (a, b, c, d)
 
 
+STEEP_MAX = 1.7
+"""Pixels a row, at which a circle is too steep to be told by the rows it crosses: 60° from upright. Beyond it
+runs nearly the way in which heights move it, and says half as much of them and less."""
+
 _NEWTON_STEPS = 30  # a place that is not found by then lies at the fold or beyond it
 _NEWTON_RESIDUAL = 1e-13  # on the plane at distance 1: some 1e-10 px
 _NEWTON_LAST = 1e-8  # a step squares the residual: from here one more is the last
@@ -133,7 +138,7 @@ def _tilt(tau_x: float, tau_y: float) -> Floats:
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
 class View(Shown):
-    """Camera and planes of light in the belt frame; what coder and outline need of any calibration."""
+    """Camera and light in the belt frame; what coder and outline need of any calibration."""
 
     image_size: tuple[int, int]
     """Rows and columns of the (turned) image."""
@@ -151,6 +156,10 @@ class View(Shown):
     """True where all rays are parallel to the camera's z."""
     exact: bool = True
     """False where it is an approximation made for coding and outlines, not for measuring."""
+    cones: Floats = field(default_factory=lambda: np.empty((0, 7)))
+    """(stripe, 7) of circles, whose left and right halves the stripes then are: where the light comes from,
+    mm, the axis, of length 1, and the half angle, rad, negative of left halves. Empty: light is in planes;
+    else `planes` touch the cones in the middle of each half."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -170,6 +179,8 @@ class View(Shown):
         if planes.ndim == 2 and planes.shape[1] == 4 and planes.size:
             length = np.sqrt((planes[:, :3] ** 2).sum(axis=1))
             check.require(bool(np.abs(length - 1.0).max() < 1e-6), "plane normals are not of length 1")
+        cones = check.array("cones", np.float64, (None, 7))
+        check.require(len(cones) in (0, len(planes)), "cones and planes differ in number")
         check.finish()
 
     @property
@@ -230,8 +241,10 @@ class View(Shown):
         return at, np.stack([focal_x * by_x, focal_y * by_y])
 
     def lift(self, xy_px: Floats, stripe: Any) -> Floats:
-        """Give (…, 3) where rays of (…, 2) image places meet planes of stripes (…), belt frame, mm."""
+        """Give (…, 3) where rays of (…, 2) image places meet the light of stripes (…), belt frame, mm."""
         start, way = self.rays(xy_px)
+        if len(self.cones):
+            return meet_cones(start, way, self.cones[np.asarray(stripe)], self.T_belt_camera[:3, 0])
         plane = self.planes[np.asarray(stripe)]
         normal, distance = plane[..., :3], plane[..., 3]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -244,6 +257,19 @@ class View(Shown):
         along = (np.asarray(z_mm, np.float64) - start[..., 2]) / way[..., 2]
         return np.asarray(start + along[..., None] * way)
 
+    def rest_of_cones_px(self, row_px: Floats) -> Floats:
+        """Give (stripe, row) where halves of circles on the belt cross rows, px.
+
+        Beyond the rows that a half crosses at less than `STEEP_MAX`, where it crosses the last of them.
+        """
+        row, found = np.asarray(row_px, np.float64), np.empty((len(self.cones), np.size(row_px)))
+        for number, cone in enumerate(self.cones):
+            x_px, y_px = self.project(half_on_belt(cone, self.T_belt_camera[:3, 0])).T
+            steep = np.abs(np.gradient(x_px)) > STEEP_MAX * np.abs(np.gradient(y_px))
+            order = np.argsort(y_px[~steep])
+            found[number] = np.interp(row, y_px[~steep][order], x_px[~steep][order])
+        return found
+
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, as they stand in a file."""
         return {
@@ -254,6 +280,7 @@ class View(Shown):
             "projector_mm": self.projector_mm.tolist() if np.isfinite(self.projector_mm).all() else None,
             "telecentric": self.telecentric,
             "exact": self.exact,
+            **({"cones": self.cones.tolist()} if len(self.cones) else {}),
         }
 
     @classmethod
@@ -269,6 +296,7 @@ class View(Shown):
             projector_mm=np.full(3, np.nan) if projector is None else np.array(projector, np.float64),
             telecentric=bool(data["telecentric"]),
             exact=bool(data["exact"]),
+            cones=np.array(data.get("cones", ()), np.float64).reshape(-1, 7),
         )
 
     def _normalised(self, xy_px: Floats) -> Floats:

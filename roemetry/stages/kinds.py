@@ -104,7 +104,7 @@ class Capabilities:
     """Largest error of a point, of exact stripes under an exact calibration, mm (triangulators)."""
     relative_tolerance: float = 0.05
     """Largest error relative to the true value: of a volume; of px/mm (calibrators)."""
-    pattern: Literal["lines", "dots", "grid"] = "lines"
+    pattern: Literal["lines", "dots", "grid", "circles"] = "lines"
     """The light a stage is made for; the stages of a recipe that see the light agree in it."""
     relative_numbers: bool = False
     """True for a coder that takes no calibration and counts stripes from the first that is seen: it is given

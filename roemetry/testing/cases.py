@@ -32,6 +32,7 @@ from roemetry.stages import (
     Weigher,
 )
 from roemetry.stages.kinds import check_result_type
+from roemetry.testing.circles import CircleRig, level, moved_circles
 from roemetry.testing.dots import DotRig, moved_dots
 from roemetry.testing.runs import failed, measured, run_of, volume_of
 from roemetry.testing.scenes import SEED, GridRig, LinearRig, frame_of, moved_grid, moved_rig
@@ -392,6 +393,49 @@ def _grid_observations(stage: Calibrator[Any]) -> Three:
     return (one,), (other,), (replace(one, observations=()),)
 
 
+def _circle_frames(stage: Extractor[Any]) -> Three:
+    rig = CircleRig()
+    one, other = (frame_of(rig.circle_light(surface)) for surface in (rig.circle_dome(6.0), level))
+    return (one,), (other,), (frame_of(np.full((rig.rows, rig.columns), rig.background)),)
+
+
+def _circle_peaks(stage: Coder[Any]) -> Three:
+    rig = CircleRig()
+    places = (
+        rig.x_on_rows(rig.circle_dome(8.0)),
+        rig.x_on_rows(rig.circle_dome(3.0)),
+        np.full((rig.stripes, rig.rows), np.nan),
+    )
+    one, other, nothing = ((rig.circle_peaks(x_px)[0], rig.circle_calibration()) for x_px in places)
+    return one, other, nothing
+
+
+def _circles_moved(stage: Aligner[Any]) -> Three:
+    """Circles that lie 0.8 px beside where the calibration has them, those that do not, and none."""
+    rig = CircleRig()
+    made, at_rest = rig.circle_calibration(), rig.x_on_rows(level)
+    one, other, nothing = (
+        (rig.circle_peaks(x_px)[0], made, moved_circles)
+        for x_px in (at_rest + 0.8, at_rest, np.full_like(at_rest, np.nan))
+    )
+    return one, other, nothing
+
+
+def _circle_maps(stage: Triangulator[Any]) -> Three:
+    rig = CircleRig()
+    calibration, hill = calibration_for(stage, rig), rig.x_on_rows(rig.circle_dome(8.0))
+    one, other, nothing = (
+        (rig.circle_map(x_px), calibration)
+        for x_px in (hill, rig.x_on_rows(rig.circle_dome(3.0)), np.full_like(hill, np.nan))
+    )
+    return one, other, nothing
+
+
+def _circle_observations(stage: Calibrator[Any]) -> Three:
+    one, other = (calibration_set_for(stage, rig) for rig in (CircleRig(), CircleRig(pitch_mm=6.3)))
+    return (one,), (other,), (replace(one, observations=()),)
+
+
 _OF_PATTERN: dict[str, dict[str, Callable[[Any], Three]]] = {
     "dots": {
         "extractor": _dot_frames,
@@ -406,6 +450,13 @@ _OF_PATTERN: dict[str, dict[str, Callable[[Any], Three]]] = {
         "coder": _grid_peaks,
         "triangulator": _grid_maps,
         "calibrator": _grid_observations,
+    },
+    "circles": {
+        "extractor": _circle_frames,
+        "aligner": _circles_moved,
+        "coder": _circle_peaks,
+        "triangulator": _circle_maps,
+        "calibrator": _circle_observations,
     },
 }
 """Of stages that are made for other light than lines, instead."""

@@ -9,6 +9,7 @@ from typing import Any
 from roemetry.stages.hookspecs import KINDS
 from roemetry.testing.checks import (
     any_stage,
+    circles,
     classes,
     dots,
     extractor,
@@ -52,7 +53,7 @@ OF_PATTERN: Mapping[str, Mapping[str, tuple[Check, ...]]] = {
         )
         for kind in ("extractor", "aligner", "coder", "calibrator", "triangulator")
     }
-    for pattern, module in (("dots", dots), ("grid", grids))
+    for pattern, module in (("dots", dots), ("grid", grids), ("circles", circles))
 }
 """Of stages that are made for other light than lines, instead."""
 

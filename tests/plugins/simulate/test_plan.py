@@ -24,7 +24,7 @@ from roemetry_simulate.plan_model import (
     steepest_slopes_deg,
 )
 from roemetry_simulate.plan_tables import ellipsoid
-from roemetry_simulate.planner import RigPlanner, simulated_scatter, space_of
+from roemetry_simulate.planner import RigPlanner, as_lines, simulated_scatter, space_of
 from roemetry_simulate.render import Sensor
 from roemetry_simulate.scene import RayCasterOptions, rig_of
 from roemetry_tools.plan.page import plan_of
@@ -307,3 +307,18 @@ def test_maps_hold_the_worst_along_y():
     assert (one.values[seen] >= middle[seen] - 1e-12).all()
     # on the belt all three are in view, and the farthest is 5 % coarser
     assert (one.values[0][seen[0]] > 1.02 * middle[0][seen[0]]).all()
+
+
+def test_other_light_than_lines_is_planned_as_the_lines_of_the_middle_row() -> None:
+    for pattern, count in (("circles", 22), ("grid", 15), ("dots", 20)):
+        scene = Scene.load(f"recipes/potato_{pattern}/simulated.yaml").simulator.options
+        lines, said = as_lines(scene)
+        assert [reason.code for reason in said] == ["pattern-as-lines"]
+        assert lines.laser.count == count
+        assert getattr(lines.laser, pattern) is None
+    # a half leaves the projector at its angle from an axis that leans by 109 mm on 470 mm
+    lines, _ = as_lines(Scene.load("recipes/potato_circles/simulated.yaml").simulator.options)
+    angle = np.arctan(8.0 * (np.arange(-11, 11) + 0.5) / np.hypot(109.0, 470.0))
+    true_mm = 105.0 - 470.0 * np.tan(np.arctan(109.0 / 470.0) - angle)
+    assert np.abs(np.array(lines.laser.feet_mm) - true_mm).max() < 0.2  # Y of row and axis differ by 1 mm
+    assert as_lines(lines) == (lines, ())

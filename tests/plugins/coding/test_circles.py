@@ -1,0 +1,93 @@
+"""Circles: cones and lines of sight, and images that are not of the circles that were calibrated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from roemetry import Recipe
+from roemetry.config.rig import Rig
+from roemetry.config.scene import Scene
+from roemetry.errors import ConfigurationError, StageError
+from roemetry.records import Frame, Sensor
+from roemetry.records.calibration import Calibration
+from roemetry.records.cones import meet_cones
+from roemetry.testing.circles import CircleRig, level
+from roemetry_coding.circles import CircleOrder
+from roemetry_peaks.circle_curves import CircleCurves
+
+CIRCLES = Path("recipes/potato_circles")
+
+
+def test_a_line_of_sight_meets_the_half_it_is_asked_for() -> None:
+    # a cone of 45° with its apex 10 mm up: on the belt a circle of 10 mm
+    half = np.array([0.0, 0.0, 10.0, 0.0, 0.0, -1.0, np.pi / 4.0])
+    cones = np.array([half, half * [1, 1, 1, 1, 1, 1, -1]])
+    start, way = np.array([[10.0, 0.0, 50.0], [-6.0, 8.0, 50.0]]), np.tile([0.0, 0.0, -1.0], (2, 1))
+    found = meet_cones(start, way, cones, np.array([1.0, 0.0, 0.0]))
+    np.testing.assert_allclose(found, [[10.0, 0.0, 0.0], [-6.0, 8.0, 0.0]], atol=1e-12)
+    assert np.isnan(meet_cones(start, way, cones[::-1], np.array([1.0, 0.0, 0.0]))).all()
+
+
+def test_halves_are_stripes_and_circles_are_counted_in_both_files() -> None:
+    assert Rig.load(CIRCLES / "rig.yaml").file.stripes == 22
+    laser = Scene.load(CIRCLES / "simulated.yaml").simulator.options.laser
+    assert (laser.circles.count, laser.circles.spacing_mm) == (11, 8.0)
+    with pytest.raises(ConfigurationError, match="22 halves of circles, `stripes` says 11"):
+        Rig.load(CIRCLES / "rig.yaml", sets=["stripes=11"])
+    with pytest.raises(ConfigurationError, match="`circle-curves` is made for circles, the pattern is dots"):
+        Rig.load(CIRCLES / "rig.yaml", sets=["pattern={kind: dots, lines_x: 11, lines_y: 11}"])
+
+
+def test_what_is_not_the_calibrated_circles_is_refused() -> None:
+    calibration = Calibration.load(CIRCLES / "calibration.yaml")
+    for path, says in (
+        (Path("recipes/potato_grid/images/potato_02.png"), "of the 11 calibrated circles"),
+        (min(Path("recipes/potato_dots/images").glob("*.png")), "of the 11 calibrated circles"),
+    ):
+        pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert pixels is not None
+        peaks = CircleCurves().extract(Frame(pixels.astype(np.uint8), sensor=Sensor(0.0255, 0.2)))
+        with pytest.raises(StageError, match=says):
+            CircleOrder().code(peaks, calibration)
+
+
+def test_turned_images_of_the_circles_are_refused() -> None:
+    calibration = Calibration.load(CIRCLES / "calibration.yaml")
+    pixels = cv2.imread(str(CIRCLES / "images/potato_01.png"), cv2.IMREAD_UNCHANGED)
+    assert pixels is not None
+    for turned in (pixels[::-1, ::-1], pixels[:, ::-1]):
+        frame = Frame(np.ascontiguousarray(turned, np.uint8), sensor=Sensor(0.0255, 0.2))
+        with pytest.raises(StageError, match="calibrated"):
+            CircleOrder().code(CircleCurves().extract(frame), calibration)
+
+
+def test_a_hidden_circle_shifts_no_label() -> None:
+    rig = CircleRig()
+    places = rig.x_on_rows(rig.circle_dome(10.0))
+    places[2], places[7, :90] = np.nan, np.nan
+    peaks, stripe = rig.circle_peaks(places)
+    coded = CircleOrder().code(peaks, rig.circle_calibration())
+    assert (coded.peak_stripe == stripe).mean() > 0.98
+    assert not ((coded.peak_stripe >= 0) & (coded.peak_stripe != stripe)).any()
+
+
+def test_without_height_every_place_lies_on_the_belt() -> None:
+    rig = CircleRig()
+    peaks, _ = rig.circle_peaks(rig.x_on_rows(level))
+    coded = CircleOrder().code(peaks, rig.circle_calibration())
+    assert coded.circles
+    assert set(np.unique(coded.product)) == {-1, 0}
+
+
+def test_the_shipped_potatoes_are_measured_in_their_intervals() -> None:
+    for product, true_cm3 in zip(
+        Recipe.load(CIRCLES, sets=["sinks=[]"]).run(), (122.8652, 105.5966), strict=True
+    ):
+        assert product.volume is not None
+        found = product.volume.visible_mm3
+        assert abs(found.value / 1e3 - true_cm3) < 0.006 * true_cm3
+        assert found.interval[0] < 1e3 * true_cm3 < found.interval[1]
