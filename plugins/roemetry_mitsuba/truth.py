@@ -55,6 +55,13 @@ class Crossings:
         key = self.stripe * self.shape[1] + self.row
         return np.concatenate([[True], key[1:] != key[:-1]]) if len(key) else np.zeros(0, np.bool_)
 
+    def on_bodies(self) -> Crossings:
+        """Give those on bodies."""
+        on = self.label > 0
+        return Crossings(
+            self.stripe[on], self.row[on], self.x_px[on], self.xyz_mm[on], self.label[on], self.shape
+        )
+
     def record(self) -> StripeTruth:
         """Give the record of a data set: the first of each stripe and row."""
         x = np.full(self.shape, np.nan)
