@@ -34,6 +34,7 @@ from roemetry.records.scan import Motion
 from roemetry.run.open_parts import split_products
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.scan import gather
+from roemetry.stages import Simulator
 from roemetry_pinhole.pinhole_plane import PinholePlane, displacements, rest_polynomials, view_of
 from roemetry_scan.belt import BeltOptions
 from roemetry_scan.closed import Registration, closed_volume
@@ -44,7 +45,7 @@ from roemetry_scan.placing import BeltMotion
 from roemetry_simulate.moving_belt import MovingBelt, MovingBeltOptions
 
 PYRAMID = Pyramid("frustum-70", 70.0, 28.0, 20.0, 0.005)
-_FRUSTUM = {"length_mm": 70, "width_mm": 70, "top_share": 0.4, "height_mm": 20, "turn_range_deg": 20}
+FRUSTUM = {"length_mm": 70, "width_mm": 70, "top_share": 0.4, "height_mm": 20, "turn_range_deg": 20}
 CONVEX: dict[str, dict[str, Any]] = {
     "truncated-pyramid": {"turn_range_deg": 40},
     "fillet": {"kinds": {"healthy": 1}},
@@ -59,44 +60,46 @@ _STD = {"focal_px": 3e-4, "planes_per_mm": 1e-5, "belt_per_mm": 1e-5}
 length of 1,200, 3 µm of a plane's distance."""
 
 
-def scene(
+def scene(*args: Any, **changes: Any) -> MovingBelt:
+    """Make a simulator of the rig that `told_scene` describes."""
+    return MovingBelt(MovingBeltOptions.model_validate(told_scene(*args, **changes)))
+
+
+def told_scene(
     rows: int = 400, columns: int = 280, *, planes: int = 1, family: str = "none",
     product: dict[str, Any] | None = None, tilt_deg: float = 35.0, distance_mm: float = 300.0,
     **scan: Any,
-) -> MovingBelt:  # fmt: skip
-    """Make a simulator of one camera that looks along the belt at a sheet of light from straight above."""
-    return MovingBelt(
-        MovingBeltOptions.model_validate(
-            {
-                "camera": {
-                    "width_px": columns, "height_px": rows, "pixel_size_um": 10, "focal_length_mm": 12,
-                    "distance_mm": distance_mm, "tilt_x_deg": 0.0, "tilt_y_deg": tilt_deg, "exposure_ms": 5,
-                },
-                "laser": {
-                    "projector_mm": [0, 0, 400], "planes": planes, "spacing_mm": 15.0, "centre_x_mm": 0.0,
-                    "line_width_mm": 1.0, "speckle_contrast": 0.03,
-                },
-                "product": {"family": family, "options": product or {}},
-                "scan": scan,
-            }
-        )
-    )  # fmt: skip
+) -> dict[str, Any]:  # fmt: skip
+    """Give a simulator's options: one camera looks along the belt at a sheet of light from straight above."""
+    return {
+        "camera": {
+            "width_px": columns, "height_px": rows, "pixel_size_um": 10, "focal_length_mm": 12,
+            "distance_mm": distance_mm, "tilt_x_deg": 0.0, "tilt_y_deg": tilt_deg, "exposure_ms": 5,
+        },
+        "laser": {
+            "projector_mm": [0, 0, 400], "planes": planes, "spacing_mm": 15.0, "centre_x_mm": 0.0,
+            "line_width_mm": 1.0, "speckle_contrast": 0.03,
+        },
+        "product": {"family": family, "options": product or {}},
+        "scan": scan,
+    }  # fmt: skip
 
 
-def true_calibration(sim: MovingBelt) -> Calibration:
-    """Give the calibration that the simulated rig truly has, with its motion."""
-    camera, laser = sim.rig.camera, sim.rig.laser
-    turn, place = camera.rotation, camera.centre_mm
-    planes = [(turn.T @ n) / (d - n @ place) for n, d in zip(laser.normals, laser.offsets_mm, strict=True)]
+def true_calibration(sim: Simulator[Any]) -> Calibration:
+    """Give the calibration that a simulated rig truly has, with its motion."""
+    told = sim.calibration_truth(0)
+    rig, pose = told["rig"], np.array(told["rig"]["T_belt_camera"])
+    turn, place, matrix = pose[:3, :3], pose[:3, 3], np.array(rig["camera_matrix"])
+    planes = [(turn.T @ plane[:3]) / (plane[3] - plane[:3] @ place) for plane in np.array(rig["planes"])]
     parameters = {
-        "focal_px": np.full(2, camera.focal_length_px),
-        "principal_px": camera.principal_px,
+        "focal_px": np.full(2, matrix[0, 0]),
+        "principal_px": matrix[:2, 2],
         "distortion": np.zeros(8),
         "planes_per_mm": np.array(planes),
         "belt_per_mm": turn.T @ np.array([0.0, 0.0, 1.0]) / -place[2],
     }
-    motion = Motion(np.array(sim.calibration_truth(0)["mm_per_count"]), np.zeros((3, 3)))
-    return calibration_by(parameters, (camera.height_px, camera.width_px), motion)
+    motion = Motion(np.array(told["mm_per_count"]), np.zeros((3, 3)))
+    return calibration_by(parameters, tuple(rig["image_size"]), motion)
 
 
 def calibration_by(
@@ -111,7 +114,7 @@ def calibration_by(
     )  # fmt: skip
 
 
-def drawn_calibration(sim: MovingBelt, rng: np.random.Generator) -> Calibration:
+def drawn_calibration(sim: Simulator[Any], rng: np.random.Generator) -> Calibration:
     """Give a calibration that is wrong by a draw of the covariance that it states; it knows no motion."""
     true = true_calibration(sim)
     std = np.concatenate(
@@ -141,7 +144,9 @@ def stripes_of(sim: MovingBelt, seed: int, noise_px: float) -> tuple[StripeMap, 
         np.zeros(x_px.shape, np.bool_), unknown, np.empty(0, np.int16),
     )  # fmt: skip
     many = len(counts)
-    return stripes, ScanLines(_no_frame, sim.shown(counts).astype(np.float64), np.arange(many), (0, many))
+    return stripes, ScanLines(
+        _no_frame, sim.options.scan.shown(counts).astype(np.float64), np.arange(many), (0, many)
+    )
 
 
 def _no_frame(line: int) -> Frame:
@@ -154,7 +159,7 @@ def lines_of(sim: MovingBelt, seed: int) -> ScanLines:
     frames = [frame for _, _, frame in sim.frames(drawn, seed)]
     counts, _ = sim.belt(drawn, seed)
     return ScanLines(
-        lambda k: Frame(frames[k], sensor=sim.sensor()), sim.shown(counts).astype(np.float64),
+        lambda k: Frame(frames[k], sensor=sim.sensor()), sim.options.scan.shown(counts).astype(np.float64),
         np.arange(len(frames)), (0, len(frames)),
     )  # fmt: skip
 
@@ -182,7 +187,7 @@ def measured(recipe: Recipe, lines: ScanLines, draws: int | None = None) -> Trac
     return Pipeline(recipe, draws=draws).trace(Acquisition("scan", (), lines=lines))
 
 
-def _rig(rng: np.random.Generator, **changes: Any) -> dict[str, Any]:
+def drawn_rig(rng: np.random.Generator, **changes: Any) -> dict[str, Any]:
     """Draw a rig: distance, angle of the camera, the belt's way and the pitch."""
     return {
         "tilt_deg": float(rng.uniform(25, 40)),
@@ -198,7 +203,7 @@ def motion(count: int, seed: int) -> None:
     pitch, lean, heights = [], [], []
     for k in range(count):
         rng = np.random.default_rng([seed, k])
-        sim = scene(family="truncated-pyramid", product=_FRUSTUM, **_rig(rng))
+        sim = scene(family="truncated-pyramid", product=FRUSTUM, **drawn_rig(rng))
         calibration = drawn_calibration(sim, rng)
         stripes, lines = stripes_of(sim, seed + k, 0.05)
         found, _ = BeltMotion().motion(stripes, lines, calibration, PinholePlane(), PYRAMID)
@@ -230,7 +235,8 @@ def _range_mm(sim: MovingBelt) -> float:
     return float(np.ptp(ends[:, 2]))
 
 
-def _told(how: str, family: str, found: Against) -> None:
+def tell(how: str, family: str, found: Against) -> None:
+    """Print how far volumes are off, and how many intervals hold."""
     off = found.off
     print(
         f"{how}, {off.size} × {family}: mean {off.mean():+.2%}, mean absolute {np.abs(off).mean():.2%}, "
@@ -250,8 +256,8 @@ def volumes(count: int, seed: int) -> None:
         found = Against()
         for k in range(count):
             rng = np.random.default_rng([seed, k, 3])
-            rig = _rig(rng)
-            with_pyramid = scene(family="truncated-pyramid", product=_FRUSTUM, **rig)
+            rig = drawn_rig(rng)
+            with_pyramid = scene(family="truncated-pyramid", product=FRUSTUM, **rig)
             calibration = drawn_calibration(with_pyramid, rng)
             stripes, lines = stripes_of(with_pyramid, seed + k, 0.05)
             moves, _ = BeltMotion().motion(stripes, lines, calibration, PinholePlane(), PYRAMID)
@@ -264,7 +270,7 @@ def volumes(count: int, seed: int) -> None:
                 found.add(trace.products[0].volume.visible_mm3, _visible_mm3(sim, seed + k))
             else:
                 print(f"  {family} of seed {seed + k}: {trace.absent or [p.absent for p in trace.products]}")
-        _told("volume", family, found)
+        tell("volume", family, found)
 
 
 def shapes(count: int, seed: int) -> None:
@@ -272,11 +278,11 @@ def shapes(count: int, seed: int) -> None:
     for family, options in CONVEX.items():
         found = Against()
         for k in range(count):
-            rig = _rig(np.random.default_rng([seed, k, 3]))
+            rig = drawn_rig(np.random.default_rng([seed, k, 3]))
             sim = scene(family=family, product=options, lead_mm=35.0, **rig)
             _, (product,) = _placed(*stripes_of(sim, seed + k, 0.05), sim)
             found.add(DenseSlices().estimate(product).visible_mm3, _visible_mm3(sim, seed + k))
-        _told("without images", family, found)
+        tell("without images", family, found)
 
 
 def two_sides(count: int, seed: int) -> None:
@@ -287,7 +293,7 @@ def two_sides(count: int, seed: int) -> None:
     for family in ("egg", "potato", "bread-roll"):
         found = Against()
         for k in range(count):
-            rig, sides = _rig(np.random.default_rng([seed, k, 11]), tilt_deg=35.0), []
+            rig, sides = drawn_rig(np.random.default_rng([seed, k, 11]), tilt_deg=35.0), []
             for below_mm in (None, _BELOW_MM):
                 sim = scene(family=family, product=CONVEX[family], lead_mm=35.0, below_mm=below_mm, **rig)
                 belt = BeltOptions(belt="fit" if below_mm is None else "zero")
@@ -296,7 +302,7 @@ def two_sides(count: int, seed: int) -> None:
             assert drawn is not None
             assert drawn.truth.true_mm3 is not None
             found.add(closed_volume(sides[0], sides[1], registration), drawn.truth.true_mm3)
-        _told("two heads", family, found)
+        tell("two heads", family, found)
 
 
 def _placed(
@@ -342,7 +348,7 @@ def faults(count: int, seed: int) -> None:
         noticed, worst = 0, 0.0
         for k in range(count):
             rng = np.random.default_rng([seed, k, 5])
-            sim = scene(rows=200, columns=200, **roll, **_rig(rng, counts_per_line=40))
+            sim = scene(rows=200, columns=200, **roll, **drawn_rig(rng, counts_per_line=40))
             stripes, lines = stripes_of(sim, seed + k, 0.05)
             bad, index = _spoiled(fault, lines, rng)
             whole, _ = _volume(stripes, lines, sim)
@@ -354,8 +360,8 @@ def faults(count: int, seed: int) -> None:
     for k in range(count):
         rng = np.random.default_rng([seed, k, 6])
         share = float(rng.uniform(0.02, 0.04) * rng.choice([-1, 1]))
-        slipping = _rig(rng, counts_per_line=40, slip_share=share)
-        steady = _rig(np.random.default_rng([seed, k, 8]), counts_per_line=40)
+        slipping = drawn_rig(rng, counts_per_line=40, slip_share=share)
+        steady = drawn_rig(np.random.default_rng([seed, k, 8]), counts_per_line=40)
         for slips, rig in ((True, slipping), (False, steady)):
             sim = scene(rows=200, columns=260, planes=3, **roll, **rig)
             slip[slips] += "slip" in _volume(*stripes_of(sim, seed + k, 0.05), sim)[1]
@@ -374,7 +380,7 @@ def formats(count: int, seed: int) -> None:
     worst: dict[str, float] = {}
     for k in range(count):
         rng = np.random.default_rng([seed, k, 9])
-        sim = scene(family="bread-roll", product=CONVEX["bread-roll"], **_rig(rng))
+        sim = scene(family="bread-roll", product=CONVEX["bread-roll"], **drawn_rig(rng))
         with tempfile.TemporaryDirectory() as folder:
             trace = measured(recipe_of(true_calibration(sim), Path(folder)), lines_of(sim, seed + k), 0)
             assert trace.profiles is not None

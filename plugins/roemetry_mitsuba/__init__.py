@@ -15,12 +15,20 @@ from roemetry.stages.hookspecs import StageEntry, hookimpl
 
 @hookimpl
 def roemetry_stages() -> Iterable[StageEntry]:
-    """Name the simulator."""
+    """Name the simulators."""
     yield StageEntry(
         kind="simulator",
         name="mitsuba",
         target="roemetry_mitsuba.simulator:MitsubaSimulator",
         summary="Stripe images by Mitsuba 3: gloss, scattering, interreflection; exact truth",
         reference="Jakob et al., Mitsuba 3 (2022); Jensen et al., dipole (2001); Walter et al., GGX (2007)",
+        requires=(("mitsuba", 'pip install "roemetry[mitsuba]"'),),
+    )
+    yield StageEntry(
+        kind="simulator",
+        name="mitsuba-belt",
+        target="roemetry_mitsuba.moving_belt:MitsubaBelt",
+        summary="Belt scans by Mitsuba 3: gloss, scattering, interreflection; frames, counts, exact truth",
+        reference="as `mitsuba`",
         requires=(("mitsuba", 'pip install "roemetry[mitsuba]"'),),
     )

@@ -113,14 +113,14 @@ class _Look(NamedTuple):
 
 
 class Tracer:
-    """A scene in Mitsuba's hands: camera, lens, fan, belt at z = 0, bodies (all of one material).
+    """A scene in Mitsuba's hands: camera, lens, fan, belt at z = 0 or none, bodies (all of one material).
 
     `below` is the dipole and the share of the diffuse light that it scatters; `samples` camera rays stand
     along each side of a pixel.
     """
 
     def __init__(
-        self, camera: Camera, lens: Lens, fan: Fan, belt: Material, bodies: Sequence[Body],
+        self, camera: Camera, lens: Lens, fan: Fan, belt: Material | None, bodies: Sequence[Body],
         material: Material, below: tuple[Dipole, float] | None, samples: int, seed: int,
     ) -> None:  # fmt: skip
         self._mi = mitsuba()
@@ -130,16 +130,21 @@ class Tracer:
         self._camera, self._lens, self._fan = camera, lens, fan
         self._below, self._samples, self._bodies = below, samples, tuple(bodies)
         self._seed, self._material = seed, material
+        self._moved = self._mi.Vector3f(0.0)
+        """How far belt and bodies have moved through the rig, mm: for all rays, or lane by lane."""
         try:
-            self._scene = self._build_scene()
+            self._scene = self._build_scene(belt is not None)
         except RuntimeError as error:
             said = (str(error).strip().splitlines() or ["no reason given"])[-1]
             raise StageError(f"Mitsuba cannot take this scene: {said}", at=("product",)) from error
-        self._belt_look, self._body_look = self._look_of(belt), self._look_of(material)
+        # without a belt there is nothing but bodies to look up, so any material will do for it
+        ground = material if belt is None else belt
+        self._belt_look, self._body_look = self._look_of(ground), self._look_of(material)
         shines = material.gloss > 0.0 or material.metal != "none"
-        self._has_gloss = belt.gloss > 0.0 or (bool(bodies) and shines)
+        self._has_gloss = ground.gloss > 0.0 or (bool(bodies) and shines)
         # opaque, so that another rig or light does not compile the kernels anew
         opaque = [*fan.origin_mm, *fan.axis, fan.sigma_mm, fan.waist_mm, fan.divergence_rad, fan.fall_rad]
+        opaque += fan.runs
         middle = np.array([fan.x_mm(0.0, 0.0).mean(), 0.0, 0.0])
         self._reference_mm = float(np.linalg.norm(fan.origin_mm - middle))
         opaque.append(self._reference_mm)
@@ -158,7 +163,7 @@ class Tracer:
         spin = ((0.7548776662466927 * column + 0.5698402909980532 * row) % 1.0).astype(np.float32)
         summed = np.zeros((5, shape[0] * shape[1]), dtype=np.float64)
         for k in range(count):
-            origin, way = self._rays(k, spin)
+            origin, way = self._rays(k, spin, self._samples)
             u = rng.random((2, spin.size), dtype=np.float32)
             parts = self._look(origin, way, lamps, laser, (k + spin) / count, (k + 0.5) / count, u)
             summed += np.stack(parts)
@@ -186,11 +191,10 @@ class Tracer:
         places = [np.array(part).T.astype(np.float64).reshape(*shape, 3) for part in (si.p, si.sh_frame.n)]
         return places[0], places[1], valid.reshape(shape), body.reshape(shape)
 
-    def _rays(self, k: int, spin: Singles) -> tuple[Any, Any]:
-        """Camera rays of the sample k of every pixel: origins and unit directions in the belt frame."""
-        n = self._samples
+    def _rays(self, k: int, spin: Singles, n: int, at: Any = slice(None)) -> tuple[Any, Any]:
+        """Camera rays of the sample k of n² of pixels (all of them): origins and unit directions."""
         dx, dy = (k % n + 0.5) / n - 0.5, (k // n + 0.5) / n - 0.5
-        x, y, x_right, y_right, x_down, y_down = _pinhole(self._camera)
+        x, y, x_right, y_right, x_down, y_down = (part[at] for part in _pinhole(self._camera))
         x = x + dx * x_right + dy * x_down
         y = y + dx * y_right + dy * y_down
         rotation = self._camera.rotation
@@ -298,8 +302,8 @@ class Tracer:
     def _laser(self, si: Any, active: Any) -> tuple[Any, Any, Any]:
         """Irradiance by the laser's sheets before the cosine, its direction (local), where it is not 0."""
         mi, dr = self._mi, self._dr
-        ox, oy, oz, ax, ay, az, sigma, waist, divergence, fall, reference = self._constants
-        beam = si.p - mi.Point3f(ox, oy, oz)
+        ox, oy, oz, ax, ay, az, sigma, waist, divergence, fall, low, high, reference = self._constants
+        beam = si.p + self._moved - mi.Point3f(ox, oy, oz)
         away = dr.norm(beam)
         way = beam / away
         wide = dr.sqrt(sigma * sigma + dr.square(divergence * (away - waist)))
@@ -308,11 +312,19 @@ class Tracer:
             n = [dr.gather(mi.Float, self._planes, mi.UInt32(4 * i + m)) for m in range(4)]
             side = (n[0] * beam.x + n[1] * beam.y + n[2] * beam.z) / wide
             total += n[3] * dr.exp(-0.5 * side * side)
-        angle = dr.asin(way.x * ax + way.y * ay + way.z * az) / fall
+        run = way.x * ax + way.y * ay + way.z * az
+        angle = dr.asin(run) / fall
         total *= dr.exp(-0.5 * angle * angle) * (sigma / wide) * (reference / away)
         wo = si.to_local(-way)
-        lit = active & (wo.z > 0.0) & (total > _FAINTEST) & (dr.dot(si.n, -way) > 0.0)
-        lit &= ~self._scene.ray_test(si.spawn_ray_to(mi.Point3f(ox, oy, oz)), lit)
+        lit = (
+            active
+            & (run >= low)
+            & (run <= high)
+            & (wo.z > 0.0)
+            & (total > _FAINTEST)
+            & (dr.dot(si.n, -way) > 0.0)
+        )
+        lit &= ~self._scene.ray_test(si.spawn_ray_to(mi.Point3f(ox, oy, oz) - self._moved), lit)
         return dr.select(lit, total, 0.0), wo, lit
 
     def _lamps(self, si: Any, surface: Surface, lamps: Lamps, spin: Any, disc: float, active: Any) -> Any:
@@ -323,7 +335,7 @@ class Tracer:
             height, radius = lamps.ring_height_mm, lamps.ring_radius_mm
             turn = 2.0 * dr.pi * spin
             h, r = dr.opaque(mi.Float, height), dr.opaque(mi.Float, radius)
-            to = mi.Point3f(r * dr.cos(turn), r * dr.sin(turn), h) - si.p
+            to = mi.Point3f(r * dr.cos(turn), r * dr.sin(turn), h) - si.p - self._moved
             away = dr.norm(to)
             wo = si.to_local(to / away)
             # lamps face straight down: k cos / d², of the told grey level at the origin
@@ -339,7 +351,7 @@ class Tracer:
             p, q, o = (
                 mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in vector)) for vector in (side, over, at)
             )
-            to = o + r * (c * p + s * q) - si.p
+            to = o + r * (c * p + s * q) - si.p - self._moved
             away = dr.norm(to)
             k = dr.opaque(mi.Float, lamps.stray_grey * float(at @ at))
             found += self._lamp(si, surface, to, si.to_local(to / away), k / (away * away), active)
@@ -357,11 +369,20 @@ class Tracer:
         self, lamps: Lamps, laser: bool, rays: int, rng: np.random.Generator
     ) -> tuple[Floats, Floats]:
         """Irradiance by one bounce and the sky at every pixel, by the laser and by the rest."""
-        mi, dr = self._mi, self._dr
         points, normals, valid, body = self._centres
         first = NODE_PX // 2
         coarse = (slice(first, None, NODE_PX), slice(first, None, NODE_PX))
         p, n, there = points[coarse], normals[coarse], valid[coarse]
+        maps = self._gathered(p, n, there, lamps, laser, rays, rng)
+        full = spread(smoothed(maps, p, n, there, body[coarse]), first, NODE_PX, valid.shape)
+        return full[..., 0], full[..., 1]
+
+    def _gathered(
+        self, p: Floats, n: Floats, there: NDArray[np.bool_], lamps: Lamps, laser: bool, rays: int,
+        rng: np.random.Generator,
+    ) -> Floats:  # fmt: skip
+        """Irradiance (…, 2) at points with normals (…, 3), where there are any: by the laser, by the rest."""
+        mi, dr = self._mi, self._dr
         count = there.size
         k = np.arange(rays)
         # a rank-1 lattice, shifted anew at each node
@@ -379,33 +400,23 @@ class Tracer:
         found = [
             self._as_array(part, count * rays).reshape(count, rays).mean(axis=1) for part in (light, other)
         ]
-        maps = np.stack(found, axis=-1).reshape(*there.shape, 2).astype(np.float64)
-        maps = _smoothed(maps, p, n, there, body[coarse])
-        full = _spread(maps, first, valid.shape)
-        return full[..., 0], full[..., 1]
+        return np.stack(found, axis=-1).reshape(*there.shape, 2).astype(np.float64)
 
     def _scattered(self) -> Floats:
         """Light scattered inside the bodies that leaves each pixel, grey levels on white, (height, width)."""
         assert self._below is not None
         dipole = self._below[0]
-        beams = self._beams(dipole)
+        beams = self._beams(dipole, np.zeros(3))
         points, _, _, body = self._centres
         found = np.zeros(body.shape)
         found[body] = gather_scattered(points[body], self._fan, beams, dipole)
-        # pixels whose centre misses the body, and which its edge still crosses, take from their neighbours
-        weight = np.pad(body.astype(np.float64), 1)
-        padded = np.pad(found, 1)
-        near = [(i, j) for i in range(3) for j in range(3)]
-        rows, columns = body.shape
-        total = sum(padded[i : i + rows, j : j + columns] for i, j in near)
-        number = sum(weight[i : i + rows, j : j + columns] for i, j in near)
-        filled: Floats = np.where(body, found, total / np.maximum(number, 1.0))
-        return filled
+        return filled(found, body)
 
-    def _beams(self, dipole: Dipole) -> Beams:
-        """Cast beams from the projector along every plane, and keep those that enter a body."""
+    def _beams(self, dipole: Dipole, moved_mm: Floats) -> Beams:
+        """Cast beams from the projector along every plane, and keep those that enter a body that moved."""
         mi, fan = self._mi, self._fan
-        corners = np.concatenate([body.points_mm for body in self._bodies]) - fan.origin_mm
+        start = fan.origin_mm - moved_mm
+        corners = np.concatenate([body.points_mm for body in self._bodies]) - start
         away = np.linalg.norm(corners, axis=1)
         angles = np.arcsin(corners @ fan.axis / away)
         step = STEP_MM / float(away.mean())
@@ -421,28 +432,29 @@ class Tracer:
         way = way[:, :, None] * distance + (wide * nodes)[:, None] * fan.normals[:, None, None]
         way /= np.linalg.norm(way, axis=-1, keepdims=True)
         shape = way.shape[:-1]
-        si = self._scene.ray_intersect(mi.Ray3f(self._point(fan.origin_mm), self._vector(way.reshape(-1, 3))))
+        si = self._scene.ray_intersect(mi.Ray3f(self._point(start), self._vector(way.reshape(-1, 3))))
         valid = np.array(si.is_valid()).reshape(shape)
         on_body = valid & np.array(si.shape != self._belt).reshape(shape)
         t = np.where(valid, np.array(si.t).reshape(shape), 1.0)
-        hit = np.array(si.p).T.astype(np.float64).reshape(*shape, 3)
+        hit = np.array(si.p).T.astype(np.float64).reshape(*shape, 3) + moved_mm
         normal = np.array(si.sh_frame.n).T.astype(np.float64).reshape(*shape, 3)
         fall = np.exp(-0.5 * (angle / fan.fall_rad) ** 2)
+        fall[(np.sin(angle) < fan.runs[0]) | (np.sin(angle) > fan.runs[1])] = 0.0
         # a Gaussian sheet of peak E carries E σ √(2π) per length along the line; 1/distance thins it out
         flux = fan.peak_grey[:, None] * fall * fan.sigma_mm * math.sqrt(2.0 * math.pi) * step
         power = flux[..., None] * weights * t * (self._reference_mm / t)
         source, image, entering = enter_tissue(hit, normal, on_body, way, power, dipole)
         return Beams(source, image, entering, first, step)
 
-    def _build_scene(self) -> Any:
+    def _build_scene(self, has_belt: bool) -> Any:
         mi = self._mi
         far = 1500.0  # the belt's edge: far outside of any view, in mm
         level = np.array([[-far, -far, 0.0], [far, -far, 0.0], [far, far, 0.0], [-far, far, 0.0]])
         ground = Body(level, np.array([[0, 1, 2], [0, 2, 3]]), smooth=False)
-        shapes = {"belt": self._mesh("belt", ground)}
+        shapes = {"belt": self._mesh("belt", ground)} if has_belt else {}
         for number, body in enumerate(self._bodies):
             shapes[f"body_{number}"] = self._mesh(f"body_{number}", body)
-        self._belt = mi.ShapePtr(shapes["belt"])
+        self._belt = mi.ShapePtr(shapes.get("belt"))
         return mi.load_dict({"type": "scene", **shapes})
 
     def _mesh(self, name: str, body: Body) -> Any:
@@ -499,13 +511,27 @@ def _to_world(normals: Floats, local: Floats) -> Floats:
     return np.asarray(x * s[:, None] + y * t[:, None] + z * normals[:, None])
 
 
-def _smoothed(
+def filled(found: Floats, body: NDArray[np.bool_]) -> Floats:
+    """Give pixels whose centre misses the body, and which its edge still crosses, their neighbours' mean."""
+    weight = np.pad(body.astype(np.float64), 1)
+    padded = np.pad(found, 1)
+    near = [(i, j) for i in range(3) for j in range(3)]
+    rows, columns = body.shape
+    total = sum(padded[i : i + rows, j : j + columns] for i, j in near)
+    number = sum(weight[i : i + rows, j : j + columns] for i, j in near)
+    return np.where(body, found, total / np.maximum(number, 1.0))
+
+
+def smoothed(
     maps: Floats, points: Floats, normals: Floats, valid: NDArray[np.bool_], body: NDArray[np.bool_]
 ) -> Floats:
     """Average nodes with neighbours of the same surface that look the same way: a cross-bilateral filter."""
     reach = 3
     rows, columns = valid.shape
-    spacing = 1.5 * float(np.median(np.linalg.norm(np.diff(points, axis=1), axis=-1)))
+    apart = np.linalg.norm(np.diff(points, axis=1), axis=-1)[valid[:, 1:] & valid[:, :-1]]
+    if not apart.size:
+        return maps
+    spacing = 1.5 * float(np.median(apart))
     total, weight = np.zeros_like(maps), np.zeros((rows, columns, 1))
     for i in range(-reach, reach + 1):
         for j in range(-reach, reach + 1):
@@ -520,12 +546,12 @@ def _smoothed(
     return total / np.maximum(weight, 1e-12)
 
 
-def _spread(maps: Floats, first: int, shape: tuple[int, int]) -> Floats:
-    """Interpolate nodes, NODE_PX apart from pixel `first` on, to all pixels."""
+def spread(maps: Floats, first: int, step: int, shape: tuple[int, ...]) -> Floats:
+    """Interpolate nodes, `step` apart from pixel `first` on, to all pixels."""
     from scipy.ndimage import map_coordinates
 
-    rows = np.clip((np.arange(shape[0]) - first) / NODE_PX, 0, maps.shape[0] - 1)
-    columns = np.clip((np.arange(shape[1]) - first) / NODE_PX, 0, maps.shape[1] - 1)
+    rows = np.clip((np.arange(shape[0]) - first) / step, 0, maps.shape[0] - 1)
+    columns = np.clip((np.arange(shape[1]) - first) / step, 0, maps.shape[1] - 1)
     at = np.meshgrid(rows, columns, indexing="ij")
     return np.stack([map_coordinates(maps[..., k], at, order=1) for k in range(maps.shape[-1])], axis=-1)
 
@@ -560,14 +586,19 @@ def expose(laser: Floats, other: Floats, camera: Camera, sensor: Sensor, seed: i
     if sensor.psf_sigma_px > 0.0:
         light = gaussian_filter(light, sensor.psf_sigma_px, mode="nearest")
     if sensor.prnu > 0.0:
-        gains = np.random.default_rng(_FIXED_PATTERN_SEED).standard_normal(light.shape)
-        light = light * (1.0 + sensor.prnu * gains)
+        light = light * (1.0 + sensor.prnu * _gains(light.shape))
     electrons = rng.poisson(np.maximum(light, 0.0) / sensor.grey_per_electron).astype(np.float64)
     electrons = np.minimum(electrons, sensor.full_well_e)
     grey = electrons * sensor.grey_per_electron + sensor.black_level_grey
     grey += sensor.read_noise_grey * rng.standard_normal(light.shape)
     white = 2**sensor.bit_depth - 1
     return np.clip(np.rint(grey), 0, white).astype(np.uint8 if sensor.bit_depth <= 8 else np.uint16)
+
+
+@lru_cache(maxsize=1)
+def _gains(shape: tuple[int, ...]) -> Floats:
+    """Deviations of the pixels' gains, in units of the standard deviation."""
+    return np.random.default_rng(_FIXED_PATTERN_SEED).standard_normal(shape)
 
 
 def _falloff(camera: Camera, strength: float) -> Floats:
@@ -583,12 +614,19 @@ def _speckle(rng: np.random.Generator, shape: tuple[int, ...], sensor: Sensor) -
     if sensor.speckle_contrast <= 0.0:
         return np.ones(shape)
     from scipy.ndimage import gaussian_filter
-    from scipy.stats import gamma, norm
 
     field = rng.standard_normal(shape)
     if sensor.speckle_sigma_px > 0.0:
         field = gaussian_filter(field, sensor.speckle_sigma_px, mode="wrap")
         field /= field.std()
-    count = 1.0 / sensor.speckle_contrast**2
+    return np.asarray(np.interp(field, *_speckle_table(sensor.speckle_contrast)))
+
+
+@lru_cache(maxsize=1)
+def _speckle_table(contrast: float) -> tuple[Floats, Floats]:
+    """Normal deviates, and the intensities of mean 1 that are as probable."""
+    from scipy.stats import gamma, norm
+
+    count = 1.0 / contrast**2
     at = np.linspace(-5.5, 5.5, 1101)
-    return np.asarray(np.interp(field, at, gamma.ppf(norm.cdf(at), count) / count))
+    return at, gamma.ppf(norm.cdf(at), count) / count

@@ -177,6 +177,8 @@ class Fan:
     waist_mm: float
     divergence_rad: float
     fall_rad: float
+    runs: tuple[float, float] = (-1.0, 1.0)
+    """Cosines of a beam's angle with the axis between which there is light."""
 
     def x_mm(self, y_mm: float, z_mm: float) -> Floats:
         """Give X of each plane at a Y and Z."""

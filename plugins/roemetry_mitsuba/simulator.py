@@ -37,6 +37,7 @@ _TEXEL_MM = 0.15
 _WHITE, _BLACK = 0.62, 0.08
 """Albedo of a board's paper and ink, and of the matt paint of block and staircase (`_WHITE`)."""
 _PX_PER_SQUARE = 64  # of a board's print: finer than any image shows it
+_AT_REST = np.zeros((1, 3))
 _EDGE_MM = 1.0
 """What is left between a product that was moved into reach and the border of the view."""
 
@@ -92,9 +93,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         if part.in_frame > 1:
             laid = _in_a_row(laid, part.gap_mm)
         name = f"item {number + 1}, {part.family} of seed {item_seed}"
-        found = [self._move_into_reach(one) if part.keep_in_reach else one for one in laid]
-        for one in found:
-            self._check_in_view(one.body, name)
+        found = [self._fitted(one, name) for one in laid]
         return tuple(sorted(found, key=lambda one: sum(one.body.extent_mm[:2])))
 
     def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
@@ -267,10 +266,12 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         pixels = expose(laser, other, self.camera, self._sensor, noise)
         return np.ascontiguousarray(np.rot90(pixels, -self.options.turn_deg // 90))
 
-    def _belt_material(self, role: Role, seed: int, *, clean: bool) -> Material:
+    def _belt_material(self, role: Role, seed: int, *, clean: bool, moved_mm: Floats = _AT_REST) -> Material:
+        """Give what of the belt comes into view while it moves to places (line, 3)."""
         belt = self.options.belt
-        at = self.camera.border_on(0.0)
-        low, high = at[:, :2].min(axis=0) - 5.0, at[:, :2].max(axis=0) + 5.0
+        at = self.camera.border_on(0.0)[:, :2]
+        low = at.min(axis=0) - moved_mm[:, :2].max(axis=0) - 5.0
+        high = at.max(axis=0) - moved_mm[:, :2].min(axis=0) + 5.0
         rng = np.random.default_rng([seed, 11])
         factor, x, y = _texture(rng, low, high, belt.texture)
         for _ in range(0 if clean else belt.dirt.count):
@@ -316,6 +317,12 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         factors = part.factors()
         grey = factors[..., :3].mean(axis=-1) if factors.ndim == 3 else factors
         return np.asarray(cv2.resize(grey, shape[::-1], interpolation=cv2.INTER_AREA)[::-1])
+
+    def _fitted(self, one: Placed, name: str) -> Placed:
+        """Give a product where stripes and view cover it; raise StageError where they cannot."""
+        found = self._move_into_reach(one) if self.options.product.keep_in_reach else one
+        self._check_in_view(found.body, name)
+        return found
 
     def _move_into_reach(self, one: Placed) -> Placed:
         """Move a product along X by as little as brings its ends near the outer stripes and into the view."""

@@ -55,6 +55,13 @@ class Crossings:
         key = self.stripe * self.shape[1] + self.row
         return np.concatenate([[True], key[1:] != key[:-1]]) if len(key) else np.zeros(0, np.bool_)
 
+    def on_bodies(self) -> Crossings:
+        """Give those on bodies."""
+        on = self.label > 0
+        return Crossings(
+            self.stripe[on], self.row[on], self.x_px[on], self.xyz_mm[on], self.label[on], self.shape
+        )
+
     def record(self) -> StripeTruth:
         """Give the record of a data set: the first of each stripe and row."""
         x = np.full(self.shape, np.nan)
@@ -95,6 +102,9 @@ def crossings(camera: Camera, fan: Fan, bodies: Sequence[Body]) -> Crossings:
         parts.append(_Found(np.full(len(row), i), row, camera.project(points)[:, 0], points, faces[which]))
     found = _Found(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     found = found.at((found.x_px >= -0.5) & (found.x_px <= camera.width_px - 0.5))
+    beam = found.points - fan.origin_mm
+    run = beam @ fan.axis / np.linalg.norm(beam, axis=1)
+    found = found.at((run >= fan.runs[0]) & (run <= fan.runs[1]))
     for source in (camera.centre_mm, fan.origin_mm):
         found = found.at(_faces_it(found.points, found.face, corners, source))
         found = found.at(~_hidden(found.points, found.face, corners, source))

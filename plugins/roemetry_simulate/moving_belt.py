@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from roemetry.config.scene_parts import Part, family_options
+from roemetry.config.scan_part import ScanPart
+from roemetry.config.scene_parts import family_options
 from roemetry.errors import MisfitError
 from roemetry.records import Frame, ProductTruth, Simulated, Truth
 from roemetry_kernels.compiling import kernel
@@ -41,33 +42,6 @@ _BLUR_ROWS = 7
 _UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
 _BESIDE_PX = 20.0
 """Half the distance of the two places that give a row's line in the plane of light, px."""
-
-
-class ScanPart(Part):
-    """How the belt runs, and when frames are taken."""
-
-    mm_per_count: tuple[float, float] = Field(
-        default=(0.02, 0.0), description="way of the product for each encoder count along X and Y, mm"
-    )
-    counts_per_line: int = Field(default=25, ge=1, description="encoder counts from frame to frame")
-    lead_mm: float = Field(default=6.0, ge=0, description="bare belt before and behind the product, mm")
-    first_count: int = Field(default=0, ge=-(2**31), lt=2**32, description="count of the first frame")
-    wrap_bits: int = Field(default=0, ge=0, le=32, description="bits of the counter; 0: it never overflows")
-    jitter_mm: float = Field(
-        default=0.0, ge=0, description="the belt's height scatters by, from frame to frame, mm"
-    )
-    slip_share: float = Field(
-        default=0.0, gt=-1, lt=1, description="in the middle third the product goes so much further"
-    )
-    below_mm: float | None = Field(
-        default=None, gt=0, le=1000,
-        description="the head looks up through a gap in the belt: its own frame, Z down, begins so far above "
-        "the belt, mm; default: it looks down",
-    )  # fmt: skip
-    line_sigma_px: float = Field(default=1.6, gt=0, description="width of the line (standard deviation), px")
-    line_y_mm: tuple[float, float] | None = Field(
-        default=None, description="Y at which the light ends on the belt, mm; default: beyond the image"
-    )
 
 
 class MovingBeltOptions(RayCasterOptions):
@@ -96,7 +70,7 @@ class MovingBelt(RigSimulator[MovingBeltOptions]):
         counts, _ = self.belt(drawn, seed + number)
         tall = Frame(np.vstack(frames), bit_depth=self.options.camera.bit_depth, sensor=self.sensor())
         truth = Truth((ProductTruth() if drawn is None else drawn.truth,))
-        return Simulated((tall,), truth, counts=self.shown(counts))
+        return Simulated((tall,), truth, counts=self.options.scan.shown(counts))
 
     def drawn(self, number: int, seed: int) -> Drawn | None:
         """Draw the product of an item; None for an empty belt."""
@@ -112,33 +86,8 @@ class MovingBelt(RigSimulator[MovingBeltOptions]):
 
     def belt(self, drawn: Drawn | None, seed: int) -> tuple[NDArray[np.int64], Floats]:
         """Give (line,) counts, and (line, 3) by how much the product has moved since it lay at X = 0, mm."""
-        scan = self.options.scan
-        extent = (-1.0, 1.0, -1.0, 1.0) if drawn is None else drawn.solid.footprint_extent_mm()
-        low, high = extent[0] - scan.lead_mm, extent[1] + scan.lead_mm
-        feet = self.rig.laser.x_mm(0.0, 0.0)
-        way = math.copysign(1.0, scan.mm_per_count[0])
-        # the product's near end has to come to the first plane, its far end to pass the last
-        begin, end = (
-            (feet.min() - high, feet.max() - low) if way > 0 else (feet.max() - low, feet.min() - high)
-        )
-        step = scan.counts_per_line * scan.mm_per_count[0]
-        lines = math.ceil((end - begin) / step) + 1
-        counts = scan.counts_per_line * np.arange(lines)
-        along = np.full(lines, 1.0)
-        along[lines // 3 : 2 * lines // 3] += scan.slip_share
-        gone = np.concatenate([[0.0], np.cumsum(along[1:])]) * scan.counts_per_line
-        moved = np.column_stack(
-            [begin + gone * scan.mm_per_count[0], gone * scan.mm_per_count[1], np.zeros(lines)]
-        )
-        if scan.jitter_mm:
-            moved[:, 2] = np.random.default_rng([seed, 83]).normal(0.0, scan.jitter_mm, lines)
-        return counts, moved
-
-    def shown(self, counts: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Give what a counter of so many bits shows."""
-        scan = self.options.scan
-        shifted = counts + scan.first_count
-        return shifted % (1 << scan.wrap_bits) if scan.wrap_bits else shifted
+        extent = (-1.0, 1.0) if drawn is None else drawn.solid.footprint_extent_mm()[:2]
+        return self.options.scan.run(extent, self.rig.laser.x_mm(0.0, 0.0), seed)
 
     def crossings(self, drawn: Drawn | None, seed: int) -> Iterator[tuple[Floats, Floats]]:
         """Give of each line (stripe, row) where it shows, px, NaN nowhere, and how brightly, 0 to 1."""
@@ -149,7 +98,7 @@ class MovingBelt(RigSimulator[MovingBeltOptions]):
         if below_mm is not None:
             side, turn, place = -1.0, _UPSIDE_DOWN, np.array([0.0, 0.0, below_mm])
         normals, axis = laser.normals @ turn, turn @ laser.line_axis
-        runs = self._runs()
+        runs = self.options.scan.runs(laser.projector_mm, laser.line_axis, laser.x_mm(0.0, 0.0))
         for shift in self.belt(drawn, seed)[1]:
             to = place - shift
             packed = camera.packed()
@@ -159,15 +108,6 @@ class MovingBelt(RigSimulator[MovingBeltOptions]):
                 laser.offsets_mm + normals @ to, axis, runs, camera.height_px, camera.width_px,
                 camera.distorts, side,
             )  # fmt: skip
-
-    def _runs(self) -> Floats:
-        """Give the cosines of the angle with the fan's axis between which there is light."""
-        line = self.options.scan.line_y_mm
-        if line is None:
-            return np.array([-1.0, 1.0])
-        laser = self.rig.laser
-        feet = np.array([[float(laser.x_mm(y, 0.0)[0]), y, 0.0] for y in line]) - laser.projector_mm
-        return np.sort(feet @ laser.line_axis / np.linalg.norm(feet, axis=1))
 
     def frames(self, drawn: Drawn | None, seed: int) -> Iterator[tuple[Floats, Floats, NDArray[Any]]]:
         """Give of each line where it shows, how brightly, and the frame."""
@@ -193,11 +133,8 @@ class MovingBelt(RigSimulator[MovingBeltOptions]):
 
     def calibration_truth(self, seed: int) -> Mapping[str, Any]:
         """Give the true rig, where each target lay, and how the belt runs."""
-        along, across = self.options.scan.mm_per_count
-        return {
-            **super().calibration_truth(seed),
-            "mm_per_count": [along, across if self.options.scan.below_mm is None else -across, 0.0],
-        }
+        told = super().calibration_truth(seed)
+        return {**told, "mm_per_count": self.options.scan.told_motion()}
 
 
 @kernel
