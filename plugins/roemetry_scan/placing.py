@@ -101,7 +101,11 @@ class BeltMotion(Assembler[BeltOptions]):
         x_px, x_std_px = stripes.x_px[at], stripes.x_std_px[at]
         xyz_mm, height_std_mm = placed(x_px, x_std_px, table, middle, shift)
         oblique = math.ceil(_OBLIQUE * usual_step(xyz_mm, 0) / usual_step(xyz_mm, 1))
-        whole = ~torn_lines(xyz_mm[..., 2], oblique)
+        whole = np.ones(len(line), np.bool_)
+        # what has belt labels is a part of lines that were placed before: nothing is asked of it again
+        before = bool((stripes.product == 0).any())
+        if not before:
+            whole = ~torn_lines(xyz_mm[..., 2], oblique)
         if not whole.all():
             _refuse_torn(whole)
             line, shift, at = line[whole], shift[whole], line[whole] * per_line + first
@@ -114,7 +118,7 @@ class BeltMotion(Assembler[BeltOptions]):
         label = np.where(np.isnan(xyz_mm[..., 0]), -1, stripes.product[at]).astype(np.int16)
         off_mm = self._belt_off_mm(xyz_mm, label, shift)
         longer, longer_std = math.nan, math.nan
-        if not (label == 0).any():  # else it is a part of lines that were placed before
+        if not before:
             ends = line_ends(x_px, x_std_px)
             longer, longer_std = longer_by(ends, motion.line_ends_rows, x_px.shape[1])
         _refuse_longer(longer)

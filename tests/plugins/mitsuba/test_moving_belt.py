@@ -65,7 +65,7 @@ def test_a_frame_of_a_scan_is_the_image_of_a_product_that_lies_there() -> None:
 
 @pytest.mark.parametrize("below_mm", [None, 30.0])
 def test_lines_lie_where_truth_says(below_mm: float | None) -> None:
-    sim = belt(below_mm=below_mm)
+    sim = belt(below_mm=below_mm, line_y_mm=(-14.0, 13.0))
     made = sim.simulate(0, 3)
     assert made.counts is not None
     rows = sim.options.camera.height_px
@@ -82,6 +82,12 @@ def test_lines_lie_where_truth_says(below_mm: float | None) -> None:
     assert len(off) > 300
     assert abs(float(np.median(off))) < 0.05
     assert made.truth.products[0].visible_mm3 == pytest.approx(20.5**2 * 9.5, rel=0.1)
+    on_belt = np.concatenate([crossed.xyz_mm[crossed.label == 0, 1] for crossed in found])
+    if below_mm is None:
+        assert -14.0 <= on_belt.min() < -13.2 and 12.2 < on_belt.max() <= 13.0
+        row = np.flatnonzero(frames[0].max(axis=1) > 40)  # a bare belt: Y runs against the rows
+        ends = sim.camera.project(np.array([[0.0, 13.0, 0.0], [0.0, -14.0, 0.0]]))[:, 1]
+        assert np.abs(row[[0, -1]] - ends).max() < 1.6
     assert (below_mm is None) == any((crossed.label == 0).any() for crossed in found)
 
 
