@@ -322,6 +322,13 @@ def base_of(rig: Rig) -> Calibration | None:
     return None if scan is None or scan.base is None else Calibration.load(rig.path.parent / scan.base)
 
 
+_NO_ENDS = (
+    "the line of light reaches the image's sides, or no `sensor` says how uncertain its places are: no scan "
+    "can notice that the camera comes nearer. Let the light end within the image on both sides of the belt, "
+    "or carry a body of known size through it now and then"
+)
+
+
 def with_motion(rig: Rig, calibration: Calibration, registry: Registry) -> Calibration:
     """Measure the motion from the rig's scan and give the calibration that knows it.
 
@@ -360,9 +367,13 @@ def with_motion(rig: Rig, calibration: Calibration, registry: Registry) -> Calib
         motion, figures = rig.scan_assembler.make().motion(
             stripes, lines, calibration, triangulator, target, right=scan.runs == "right"
         )
+    notes = calibration.notes
+    if np.isnan(motion.line_ends_rows).any():
+        notes = (*notes, _NO_ENDS)
     return replace(
         calibration,
         motion=motion,
+        notes=notes,
         residuals={**calibration.residuals, **figures},
         made=datetime.now(UTC).isoformat(timespec="seconds"),
     )
