@@ -223,17 +223,20 @@ def ends_of_stripes(
 ) -> tuple[Floats, Floats]:
     """Give (end, 2) px of what is seen of a product's stripes, and (end, 2) px of the belt next to them.
 
-    Of (stripe, row) stripes with fewer rows on the product none are given.
+    Of (stripe, row) stripes with fewer rows on the product one after another none are given, and shorter
+    pieces are no ends: where a shadow cuts a stripe on the belt, what is left of its light in the last row or
+    two lies aside, as if it were on the product.
     """
     stripes, rows = x_px.shape
     ends, beyond = np.empty((2 * stripes, 2)), np.empty((2 * stripes, 2))
     many = belts = 0
     for s in range(stripes):
-        first, last, count = -1, -1, 0
+        first, last, run = -1, -1, 0
         for row in range(rows):
-            if seen[s, row] and product[s, row] == number:
-                first, last, count = row if first < 0 else first, row, count + 1
-        if count < least_rows:
+            run = run + 1 if seen[s, row] and product[s, row] == number else 0
+            if run >= least_rows:
+                first, last = row - run + 1 if first < 0 else first, row
+        if first < 0:
             continue
         for row, step in ((first, -1), (last, 1)):
             ends[many, 0], ends[many, 1] = x_px[s, row], row
