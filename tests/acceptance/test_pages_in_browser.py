@@ -35,14 +35,15 @@ def some(quick: list[str], thorough: list[str]) -> list[Any]:
     return [*quick, *(pytest.param(one, marks=pytest.mark.thorough) for one in thorough)]
 
 
-# with an outline and by a calibration with error; a groove; a scan, dots, a grid
+OTHERS = ["bread_roll", "egg", "fish_fillet", "potato", "herring_roe", "herring_roe/by_words.yaml"]
+# with an outline and by a calibration with error; a groove; a scan; a pattern of light, which stands for all
 REPORTS = some(
-    ["herring_roe/with_outline.yaml", "weld_groove", "belt_scan", "potato_dots", "potato_grid"],
-    ["bread_roll", "egg", "fish_fillet", "potato", "herring_roe", "herring_roe/by_words.yaml"],
+    ["herring_roe/with_outline.yaml", "weld_groove", "belt_scan", "potato_grid"],
+    ["potato_dots", "potato_circles", *OTHERS],
 )
 RECIPES = some(
-    ["herring_roe/with_outline.yaml", "belt_scan", "potato_dots", "potato_grid"],
-    ["bread_roll", "egg", "fish_fillet", "potato", "weld_groove", "herring_roe", "herring_roe/by_words.yaml"],
+    ["herring_roe/with_outline.yaml", "belt_scan"],
+    ["potato_dots", "potato_grid", "weld_groove", *OTHERS],
 )
 PATTERNS = ("potato_dots", "potato_grid")
 """Recipes whose extractor no other one can stand in for: an option of it is changed instead."""
