@@ -119,7 +119,8 @@ class BeltMotion(Assembler[BeltOptions]):
             first_count=found.first, mm_per_count=_three(motion.mm_per_count),
             belt_off_rel_std=_UNIFORM * abs(_scale_per_mm(table, calibration, middle) * off_mm),
         )  # fmt: skip
-        reasons = (*found.reasons, *_unreadable(figures), *_torn(whole), *_off(figures, off_mm))
+        unread = stripes.reasons or _unreadable(figures)  # what was said of the first, where that is known
+        reasons = (*found.reasons, *unread, *_torn(whole), *_off(figures, off_mm))
         if per_line > 1:
             lag_mm = _lags(table.plane, motion.mm_per_count, middle)
             others = {
