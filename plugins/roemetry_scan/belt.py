@@ -19,6 +19,7 @@ from pydantic import Field
 from roemetry.errors import StageError
 from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry.stages import StageOptions
+from roemetry_kernels.compiling import float_kernel
 
 Belt = tuple[Floats, Floats]
 """(3, 3) rotation and (3,) point of a belt plane: its Z is 0 at R·(p − point)."""
@@ -57,20 +58,14 @@ def plane_of_belt(points_mm: Floats, near_mm: float) -> Floats:
     """
     rng = np.random.default_rng(0)
     some = points_mm[rng.integers(0, len(points_mm), min(_SAMPLE, len(points_mm)))]
+    three = some[rng.integers(0, len(some), (_TRIES, 3))]
+    design = np.concatenate([np.ones((_TRIES, 3, 1)), three[..., :2]], axis=2)
+    good = ~(np.abs(np.linalg.det(design)) < 1e-6)
+    planes = np.linalg.solve(design[good], three[good][..., 2:])[..., 0]
+    planes = np.ascontiguousarray(planes[~(np.hypot(planes[:, 1], planes[:, 2]) > _LEAN_MAX)])
     best: Floats = np.zeros(3)
-    most = -np.inf
-    for _ in range(_TRIES):
-        three = some[rng.integers(0, len(some), 3)]
-        design = np.column_stack([np.ones(3), three[:, :2]])
-        if abs(np.linalg.det(design)) < 1e-6:
-            continue
-        plane = np.asarray(np.linalg.solve(design, three[:, 2]), np.float64)
-        if np.hypot(plane[1], plane[2]) > _LEAN_MAX:
-            continue
-        over = some[:, 2] - plane[0] - some[:, :2] @ plane[1:]
-        score = np.count_nonzero(np.abs(over) <= near_mm) - _BELOW * np.count_nonzero(over < -near_mm)
-        if score > most:
-            best, most = plane, score
+    if len(planes):
+        best = planes[int(_scores(planes, some, near_mm).argmax())]
     near = np.abs(points_mm[:, 2] - best[0] - points_mm[:, :2] @ best[1:]) <= near_mm
     if near.mean() < 0.1:
         raise StageError(
@@ -86,6 +81,21 @@ def plane_of_belt(points_mm: Floats, near_mm: float) -> Floats:
             break
         near = again
     return best
+
+
+@float_kernel
+def _scores(planes: Floats, some: Floats, near_mm: float) -> Floats:
+    """Give (plane,) how many points lie near each, less what those below it count."""
+    scores = np.empty(planes.shape[0])
+    for p in range(planes.shape[0]):
+        a, b, c = planes[p, 0], planes[p, 1], planes[p, 2]
+        near = below = 0
+        for k in range(some.shape[0]):
+            over = some[k, 2] - a - some[k, 0] * b - some[k, 1] * c
+            near += (over <= near_mm) & (over >= -near_mm)
+            below += over < -near_mm
+        scores[p] = near - _BELOW * below
+    return scores
 
 
 def fitted_plane(points_mm: Floats) -> Floats:

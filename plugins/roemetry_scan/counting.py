@@ -54,6 +54,11 @@ def counted(count: Floats, number: Integers) -> Counted:
     StageError
         There are no counts, they stand still, or fewer than three lines have a place of their own.
     """
+    if count.size < _LINES_MIN:
+        raise StageError(
+            f"the scan has {count.size} lines, {_LINES_MIN} are the least",
+            hint="is it the whole scan? A folder holds the frames of all lines",
+        )
     known = np.flatnonzero(np.isfinite(count))
     if known.size < _LINES_MIN:
         raise StageError(

@@ -32,10 +32,11 @@ _RIM_PRIOR = 1e-5
 """Weight of a rim on the belt, of one point's equation: it decides where noise alone would."""
 _RIM_ROWS_MIN = 10
 """Image rows that tell a product's rim where belt is seen right beside it."""
-_RIM_STEPS, _RIM_STEPS_DIM = 1.4, 3.5
-"""From a row's outermost point down to the rim, by its rise to the next one; and where a dim one was lost."""
+_DIM_MOST = 4
+"""Points in a row that grazing light may lose between a product and the belt: on a translucent ball of 40 mm
+under lines 0.6 mm apart there are up to three."""
 _RIM_GROUPS = 7
-"""Of neighbouring rows, whose medians tell how sections end from side to side."""
+"""Of neighbouring rows, whose usual values tell how sections end from side to side."""
 _DENSE = 3.0
 """Slices so many points apart tell rim and reach better than the end of each slice does. With lines 1.2 mm
 apart eggs were 0.4 % too small by them (seed 31000)."""
@@ -178,10 +179,14 @@ def _along_slices(xyz: Floats, label: Labels, added: Flags, plane: Floats, rims:
 def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> tuple[Floats, Floats]:
     """Give (product + 1,) the height of each one's rim, and (product + 1, row) that of its sections by rows.
 
-    NaN where belt is seen right beside too few of them. Near a rim heights are r + √(α·d): of a last point
-    that lies anywhere within a spacing of it and of the next one, z₀ − 1.4·(z₁ − z₀) is r on the mean, over
-    many image rows within a hundredth of the height. Where light grazes, the point nearest to the rim is
-    often too dim: such rows count as low ones of the median.
+    NaN where belt is seen right beside too few of them. Near its rim a section is an ellipse, whose heights
+    grow as √(d·(2w − d)) with the distance d from the rim, w from there to the section's top. With u points
+    too dim between the last one and the belt, d of the second seen point is u + 1 to u + 2 spacings, on the
+    mean over many rows u + 3/2, and of the third a spacing more; both heights give the rim. The last point is
+    left out: of a sheet of light that reaches beyond the rim only its upper part is seen, which lifts that
+    point by up to 0.3 mm. Rows with few dim points alone would be those whose last point lies far from the
+    rim by chance; so all rows of a side count if most have no more than `_DIM_MOST`, and of the other side,
+    which shadow hides, those with one at most.
 
     What a row shows lies in a plane that leans towards the camera, the more the farther to the side. Its
     section of a body ends above the body's rim there; the slices' planes, which stand upright, end at that of
@@ -190,34 +195,69 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> tuple[Fl
     slices, points = label.shape
     found, count = np.full((products + 1, 2 * points), np.nan), np.zeros(products + 1, np.int64)
     at = np.zeros((products + 1, 2 * points))
-    for k in range(points):
-        for way in (1, -1):
-            unseen = slices
-            for i in range(slices - 1):
-                m = i if way == 1 else slices - 1 - i
-                number = label[m, k]
-                if number == 0:
-                    unseen = 0
-                elif number < 0 or added[m, k]:
-                    unseen += 1
-                else:
-                    # the outermost point of the row on this side, with belt right beside it, or a point
-                    # between that was too dim: that one was nearer to the rim than most are
-                    if unseen <= 1 and label[m + way, k] == number and count[number] < 2 * points:
-                        z0, z1 = xyz[m, k, 2], xyz[m + way, k, 2]
-                        steps = _RIM_STEPS if unseen == 0 else _RIM_STEPS_DIM
-                        found[number, count[number]] = z0 - steps * max(z1 - z0, 0.0)
-                        at[number, count[number]] = k
-                        count[number] += 1
-                    unseen = slices
+    for way in (1, -1):
+        few, all_rows = np.zeros(products + 1, np.int64), np.zeros(products + 1, np.int64)
+        for asked in (True, False):
+            for k in range(points):
+                unseen = slices
+                for i in range(slices - 1):
+                    m = i if way == 1 else slices - 1 - i
+                    number = label[m, k]
+                    if number == 0:
+                        unseen = 0
+                    elif number < 0 or added[m, k]:
+                        unseen += 1
+                    else:
+                        # the outermost point of the row on this side, with belt beside it
+                        if asked:
+                            all_rows[number] += unseen < slices
+                            few[number] += unseen <= _DIM_MOST
+                        else:
+                            most = _DIM_MOST if 2 * few[number] > all_rows[number] else 1
+                            one, two = m + way, m + 2 * way
+                            inside = 0 <= two < slices and label[one, k] == number and label[two, k] == number
+                            if unseen <= most and inside and count[number] < 2 * points:
+                                found[number, count[number]] = _rim_of_row(xyz, label, m, k, way, unseen)
+                                at[number, count[number]] = k
+                                count[number] += 1
+                        unseen = slices
     rims, by_row = np.full(products + 1, np.nan), np.full((products + 1, points), np.nan)
     for number in range(1, products + 1):
         many = count[number]
         if many < _RIM_ROWS_MIN:
             continue
-        rims[number] = max(np.median(found[number, many // 4 : many - many // 4]), 0.0)
+        rims[number] = max(_usual(found[number, many // 4 : many - many // 4]), 0.0)
         by_row[number] = np.maximum(_by_groups(at[number], found[number], many, points), 0.0)
     return rims, by_row
+
+
+@inlined
+def _usual(values: Floats) -> float:
+    """Give the mean without the lowest and the highest tenth.
+
+    Rows with one point lost and with two make two heaps of rims, of which neither is right but their mean is.
+    """
+    ordered = np.sort(values)
+    tenth = ordered.size // 10
+    return float(np.mean(ordered[tenth : ordered.size - tenth]))
+
+
+@inlined
+def _rim_of_row(xyz: Floats, label: Labels, m: int, k: int, way: int, unseen: int) -> float:
+    """Give the rim by a row's second and third point from outside; see `rims_of`."""
+    one, two, top = m + way, m + 2 * way, m
+    i = m
+    while 0 <= i < label.shape[0] and label[i, k] == label[m, k]:
+        if xyz[i, k, 2] > xyz[top, k, 2]:
+            top = i
+        i += way
+    step = abs(xyz[two, k, 0] - xyz[one, k, 0])
+    half = abs(xyz[top, k, 0] - xyz[m, k, 0]) + (unseen + 0.5) * step
+    near, far = (unseen + 1.5) * step / half, (unseen + 2.5) * step / half
+    share = math.sqrt((unseen + 1.5) / (unseen + 2.5))
+    if far < 1.0:  # else the top is beside the rim: what is left is a parabola
+        share *= math.sqrt((2.0 - near) / (2.0 - far))
+    return xyz[one, k, 2] - share / (1.0 - share) * max(xyz[two, k, 2] - xyz[one, k, 2], 0.0)
 
 
 @float_kernel
@@ -279,13 +319,13 @@ def reach_of(xyz: Floats, label: Labels, added: Flags, by_row: Floats) -> Floats
 
 @float_kernel
 def _by_groups(at: Floats, values: Floats, many: int, points: int) -> Floats:
-    """Give (row,) the medians of neighbouring rows' values, straight between the middles of their groups."""
+    """Give (row,) neighbouring rows' usual values, straight between the middles of their groups."""
     groups = min(_RIM_GROUPS, many // _RIM_ROWS_MIN)
-    row, median = np.empty(groups), np.empty(groups)
+    row, usual = np.empty(groups), np.empty(groups)
     for g in range(groups):
         part = slice(g * many // groups, (g + 1) * many // groups)
-        row[g], median[g] = np.mean(at[part]), np.median(values[part])
-    return np.interp(np.arange(points), row, median)
+        row[g], usual[g] = np.mean(at[part]), _usual(values[part])
+    return np.interp(np.arange(points), row, usual)
 
 
 @inlined

@@ -137,13 +137,8 @@ class BeltMotion(Assembler[BeltOptions]):
             # a slice's area is as large as the square of what its line measures
             line_length_rel_std=2.0 * math.hypot(_LIKELY_ALL * longer, longer_std),
         )  # fmt: skip
-        reasons = (
-            *found.reasons,
-            *_unreadable(figures),
-            *_torn(whole),
-            *_off(figures, off_mm),
-            *_longer(longer),
-        )
+        unread = stripes.reasons or _unreadable(figures)  # what was said of the first, where that is known
+        reasons = (*found.reasons, *unread, *_torn(whole), *_off(figures, off_mm), *_longer(longer))
         if per_line > 1:
             lag_mm = _lags(table.plane, motion.mm_per_count, middle)
             others = {

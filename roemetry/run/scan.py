@@ -93,6 +93,11 @@ def gather(
     if not followed:
         raise StageError(f"no line of the scan could be followed; of the first: {first_fault}")
     unknown = np.broadcast_to(np.nan, shape)
+    said: tuple[Reason, ...] = ()
+    if first_fault is not None:
+        left = len(lines.count) - followed
+        text = f"in {left} of {len(lines.count)} frames no line could be followed: not seen there"
+        said = (Reason("lines-unreadable", f"{text}; of the first: {first_fault}"),)
     return StripeMap(
         x_px=x_px,
         x_std_px=x_std_px,
@@ -102,6 +107,7 @@ def gather(
         ambiguous=np.broadcast_to(np.False_, shape),
         rest_px=unknown,
         peak_stripe=np.empty(0, np.int16),
+        reasons=said,
         correlation_rows=reach,
     )
 

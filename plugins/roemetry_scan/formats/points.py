@@ -49,6 +49,11 @@ def profiles_of(measured: Measured, pixel_mm: float | None, name: str) -> Profil
         )
     points = xyz[known]
     extent = np.ptp(points[:, :2], axis=0)
+    if extent.max() == 0.0:
+        raise DataError(
+            f"{name}: all {len(points)} points lie at one place: nothing was measured",
+            hint="is the value that marks what is not known the right one?",
+        )
     if extent.max() < _METRES:
         raise DataError(
             f"{name}: all of it is {extent[0]:.3g} × {extent[1]:.3g} mm: these look like metres",

@@ -92,6 +92,7 @@ def test_lines_without_a_count_are_left_out() -> None:
     [
         (np.full(20, np.nan), "placed by counts"),
         (np.full(20, 7.0), "stands still"),
+        (np.array([0.0, 25.0]), "the scan has 2 lines"),
         (np.tile([0.0, 1.0], 10), "stands still|to and fro"),
     ],
 )

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from roemetry_scan.flanks import conic
+from roemetry_scan.flanks import conic, rims_of
 
 INWARDS_MM = np.linspace(0.0, 6.0, 20)
 
@@ -29,3 +29,23 @@ def test_an_ellipse_is_followed_to_where_it_ends() -> None:
     height_mm = 3.0 + 10.0 * np.sqrt(1.0 - ((15.0 - INWARDS_MM) / 20.0) ** 2)
     length = conic(INWARDS_MM, height_mm, INWARDS_MM.size, 50.0, 3.0)[4]
     assert length == pytest.approx(5.0, abs=1e-3)
+
+
+def test_a_rim_is_found_beside_points_that_are_too_dim_and_one_that_is_lifted(
+    rng: np.random.Generator,
+) -> None:
+    """Light grazes a ball beside its rim: each row loses one or two points, and the last is too high."""
+    rim_mm, radius_mm, step_mm, dim_mm = 19.0, 20.0, 0.65, 0.9
+    lines, rows = 110, 400
+    x_mm = step_mm * np.arange(lines)[:, None] + rng.uniform(0.0, step_mm, rows)
+    off_mm = np.abs(x_mm - 0.5 * step_mm * lines)
+    on = off_mm < radius_mm
+    height_mm = np.where(on, rim_mm + np.sqrt(np.maximum(radius_mm**2 - off_mm**2, 0.0)), 0.0)
+    label = np.where(on, 1, 0).astype(np.int16)
+    label[on & (radius_mm - off_mm < dim_mm)] = -1
+    last = (label == 1) & (np.roll(label, -1, axis=0) == -1)
+    height_mm[last] += 0.3
+    label[:30] = -1  # in the shadow
+    xyz_mm = np.stack([x_mm, np.zeros_like(x_mm), np.where(label < 0, np.nan, height_mm)], axis=-1)
+    rims, _ = rims_of(xyz_mm, label, np.zeros(label.shape, np.bool_), 1)
+    assert rims[1] == pytest.approx(rim_mm, abs=0.15)

@@ -115,6 +115,8 @@ def test_metres_are_noticed_by_the_extent_and_nothing_is_refused(tmp_path: Path)
     assert abs(volume(path, unit="m") / TRUE_MM3 - 1.0) < 2e-3
     with pytest.raises(DataError, match="not known"):
         profiles_of(Measured(np.full((10, 20, 3), np.nan)), None, "map")
+    with pytest.raises(DataError, match="lie at one place"):  # zeros for what is not known
+        profiles_of(Measured(np.zeros((10, 20, 3))), None, "map")
 
 
 def test_a_cloud_without_slices_is_laid_on_a_grid(tmp_path: Path) -> None:

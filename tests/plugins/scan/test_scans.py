@@ -397,7 +397,9 @@ def test_parts_and_single_frames_measure_what_the_whole_does(tmp_path: Path, fra
     assert value(single) == value(whole)
     cv2.imwrite(str(folder / "f0020_c1000.png"), frames[20][:80])
     (row,) = rows(tmp_path, source=source, uncertainty="none")
-    assert "lines-unreadable" in {reason.code for reason in row.reasons}
+    (unread,) = (reason.text for reason in row.reasons if reason.code == "lines-unreadable")
+    assert "frame 20 is" in unread
+    assert "80 pixels" in unread
     assert value(row) == pytest.approx(TRUE_MM3, rel=0.01)
 
 
