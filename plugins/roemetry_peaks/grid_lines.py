@@ -53,6 +53,10 @@ _REMAINS = 6.0
 its speckle lies on the flanks of the peak, too, which the fit takes for dark and sure."""
 _TIMES = 2
 """That both families are measured: what the second time finds at crossings changes no line any more."""
+_SAME_PX = 3.0
+"""In a row, within which two peaks are of one line."""
+_ALONE = 0.02
+"""Of a peak's height, below which the other line's light does not move it."""
 _CLIPPED_PX = 7
 """Along the row, in which no pixel of a crossing may be white."""
 
@@ -90,7 +94,7 @@ class GridLines(Extractor[GridLinesOptions]):
         # where a line ends behind a crossing, too near for its direction to show, the second round knows it
         for _ in range(_TIMES):
             found = _without(one, frame, np.rot90(light[1], -1)), _without(one, frames[1], np.rot90(light[0]))
-            light = [_light_of(peaks, sure) for peaks, sure in found]
+            light = [_light_of(peaks, alone, crossing) for peaks, alone, crossing in found]
         return replace(found[0][0], across=found[1][0])
 
 
@@ -99,17 +103,28 @@ def turned(frame: Frame) -> Frame:
     return replace(frame, pixels=np.ascontiguousarray(np.rot90(frame.pixels)))
 
 
-def _light_of(peaks: Peaks, kept: Flags) -> Floats:
+def _light_of(peaks: Peaks, kept: Flags, crossing: Flags | None = None) -> Floats:
     """Give the light of the lines that cross rows, as an image, grey levels over what is beside them.
 
-    `kept` (peak,) says which peaks are known to be of such lines.
+    `kept` (peak,) says which peaks are known to be of such lines, `crossing` which are, where light was taken
+    away: they count where the line does not go on behind, for what lies between its sound parts is surer.
     """
     row = peaks.row[kept]
-    numbers = np.column_stack([peaks.x_px, peaks.amplitude, peaks.width_px / FWHM_OF_SIGMA])[kept]
+    numbers = _numbers(peaks, kept)
     ahead = _neighbour(row, numbers[:, 0])
     hidden_row, hidden = _hidden(row, numbers, ahead)
     row, numbers = np.concatenate([row, hidden_row]), np.concatenate([numbers, hidden])
+    if crossing is not None and crossing.any():
+        at_row, more = peaks.row[crossing], _numbers(peaks, crossing)
+        free = _apart(at_row, more[:, 0], hidden_row, hidden[:, 0]) > _SAME_PX
+        row = np.concatenate([row, at_row[free]])
+        numbers = np.concatenate([numbers, more[free]])
     return _painted(row, numbers, peaks.image_size)
+
+
+def _numbers(peaks: Peaks, which: Flags) -> Floats:
+    """Give (n, 3) place, height and standard deviation of some peaks."""
+    return np.column_stack([peaks.x_px, peaks.amplitude, peaks.width_px / FWHM_OF_SIGMA])[which]
 
 
 def _gradients(pixels: Any) -> tuple[Any, Any]:
@@ -133,6 +148,14 @@ def _neighbour(row: Integers, x_px: Floats) -> Integers:
     nearest = np.where(np.abs(key[before] - key - wide) < np.abs(key[after] - key - wide), before, after)
     near = np.abs(key[nearest] - key - wide) <= _STEP_PX
     return np.where(near, nearest, -1)
+
+
+def _apart(row: Integers, x_px: Floats, other_row: Integers, other_px: Floats) -> Floats:
+    """Give how far the nearest of other places in the same row is; more than the image is wide of none."""
+    wide = 2.0 * max(float(x_px.max(initial=0.0)), float(other_px.max(initial=0.0))) + 1.0
+    key, others = row * wide + x_px, np.sort(np.concatenate([[-np.inf, np.inf], other_row * wide + other_px]))
+    at = np.searchsorted(others, key)
+    return np.asarray(np.minimum(key - others[at - 1], others[at] - key))
 
 
 def _hidden(row: Integers, numbers: Floats, ahead: Integers) -> tuple[Integers, Floats]:
@@ -187,10 +210,10 @@ def _painted(row: Integers, numbers: Floats, size: tuple[int, int]) -> Floats:
     return light
 
 
-def _without(one: Gaussian, frame: Frame, light: Floats) -> tuple[Peaks, Flags]:
+def _without(one: Gaussian, frame: Frame, light: Floats) -> tuple[Peaks, Flags, Flags]:
     """Measure the lines that are left when the other family's light is taken away.
 
-    Gives also (peak,) which of them run across the rows beyond doubt.
+    Gives also (peak,) which of them run across the rows beyond doubt: where they are alone, and at crossings.
     """
     from scipy.ndimage import maximum_filter1d
 
@@ -223,4 +246,5 @@ def _without(one: Gaussian, frame: Frame, light: Floats) -> tuple[Peaks, Flags]:
         width_px=peaks.width_px[kept],
         flags=peaks.flags[kept],
     )
-    return left_over, (along[at] > _DIRECTED * down[at])[kept]
+    sure, alone = (along[at] > _DIRECTED * down[at])[kept], (beside < _ALONE * peaks.amplitude)[kept]
+    return left_over, sure & alone, sure & ~alone
