@@ -22,12 +22,12 @@ from typer.testing import CliRunner
 
 from benchmarks.command import parser_of
 from benchmarks.dots import judged_dots
-from benchmarks.patterns import DOTS, GRID, VOLUME_HEAD, Volumes, judged_lines, tell
+from benchmarks.patterns import DOTS, GRID, NEAR_PX, VOLUME_HEAD, Volumes, judged_lines, tell
 from benchmarks.tables import table
 from roemetry import Recipe
 from roemetry.cli.main import app
 from roemetry.config.scene import Scene
-from roemetry.records import Frame, Simulated
+from roemetry.records import Frame, Simulated, StripeTruth, Trace
 from roemetry.run.pipeline import Pipeline
 
 PAGE = Path("docs/measurements/patterns.md")
@@ -52,19 +52,25 @@ def main() -> None:
         rigs = [Rig(pattern, given.seed, number, given.images) for number in range(given.rigs)]
         for family in FAMILIES:
             counts, measured = np.zeros(4, np.int64), Volumes(None, f"{pattern}, {family}")
+            reached = np.zeros(2, np.int64)
             for rig in rigs:
                 for number in range(given.count):
                     item = rig.item(family, number)
                     trace = measured.trace(item, f"{rig.name}-{family}-{number}", rig.pipeline())
                     counts += (judged_dots if pattern == "dots" else judged_lines)(trace, item.truth.stripes)
+                    reached += labelled_of_visible(trace, item.truth.stripes)
             right, wrong, missed, stray = counts.tolist()
             total = right + wrong + missed
             labels.append([
                 pattern, family, f"{right / max(total, 1):.2%} of {total}", f"{wrong}",
                 f"{missed / max(total, 1):.2%}", f"{stray}",
+                f"{reached[0] / max(reached[1], 1):.2%} of {reached[1]}",
             ])  # fmt: skip
             volumes.append([pattern, family, *measured.cells()])
-    head = ["pattern", "product", "right", "wrong", "no label", "other light labelled"]
+    head = [
+        "pattern", "product", "right, of peaks", "wrong", "no label", "other light labelled",
+        "right, of all lit and visible",
+    ]  # fmt: skip
     tell(
         {
             "rigs-labels": table(head, labels),
@@ -72,6 +78,37 @@ def main() -> None:
         },
         PAGE if given.write else None,
     )
+
+
+def labelled_of_visible(trace: Trace, truth: StripeTruth | None) -> Any:
+    """Count true points on products that have a peak with their label, and all of them, lit and visible.
+
+    Where no peak is found (at rims, at crossings) none has one: the number says what image and stages lose
+    together.
+    """
+    if truth is None or trace.peaks is None or trace.stripes is None:
+        return np.array([0, 0 if truth is None else int(truth.on_product.sum())])
+    families = [(trace.peaks, trace.stripes, truth)]
+    if truth.across is not None:
+        assert trace.peaks.across is not None and trace.stripes.across is not None
+        families.append((trace.peaks.across, trace.stripes.across, truth.across))
+    right = visible = 0
+    for peaks, stripes, true in families:
+        stripe, row = np.nonzero(true.on_product & np.isfinite(true.x_px))
+        visible += stripe.size
+        label = stripes.peak_stripe
+        kept = np.flatnonzero((label >= 0) & np.isfinite(stripes.x_px[np.maximum(label, 0), peaks.row]))
+        if peaks.dots is None:
+            mine = np.full(true.x_px.shape, np.nan)
+            mine[label[kept], peaks.row[kept]] = peaks.x_px[kept]
+            right += int((np.abs(mine - true.x_px)[stripe, row] < NEAR_PX).sum())
+            continue
+        found = np.column_stack([peaks.x_px, peaks.dots.y_px])[kept]
+        for one, at in zip(stripe, row, strict=True):
+            own = found[label[kept] == one]
+            place = true.x_px[one, at], true.y_px[one, at]
+            right += bool(len(own) and np.linalg.norm(own - place, axis=1).min() < NEAR_PX)
+    return np.array([right, visible])
 
 
 class Rig:

@@ -46,6 +46,11 @@ _GAP_ROWS = 8
 """Longest part of a line that is not seen and behind which it goes on: a crossing takes five to eight."""
 _REACH_ROWS = 4
 """Behind its end, that a line still crosses another: half of what a crossing takes."""
+_THIN_PX, _THIN_SCATTERS, _MOST = 0.3, 3.0, 0.95
+"""Beside its rest line, from which on a line may lie on something thin, and at least times what this share of
+the belt's points stay below."""
+_ALONE_ROWS = 12
+"""Least length of a thin part that does not go on from the product: half a spacing."""
 _END_ROWS = 3
 """From its end, within which a line contradicts none that it crosses: half of its width."""
 _FOLLOWED_PX = 1.0
@@ -119,6 +124,8 @@ class GridPlanes(Coder[PlanesOptions]):
         across, gone_across = _kept(across, peaks.across, met.line, met.column, met.agree)
         across = _numbered(across, upright, met)
         upright = _asked_again(upright, peaks, across, pair)
+        upright = _with_thin_parts(upright, calibration)
+        across = _with_thin_parts(across, calibration.across)
         if gone + gone_across:
             said = Reason(
                 "crossings-disagree",
@@ -437,6 +444,41 @@ def _numbered(across: StripeMap, upright: StripeMap, met: _Met) -> StripeMap:
         others = here[met.agree & (there == number) & (here > 0)]
         product[across.product == number] = np.bincount(others).argmax() if others.size else NOTHING
     return replace(_left_out(across, product == NOTHING), product=product)
+
+
+def _with_thin_parts(stripes: StripeMap, calibration: Calibration) -> StripeMap:
+    """Give a product its thin parts, which `planes` takes for belt: they lie nearer to it than a pixel.
+
+    On this very frame the belt's lines scatter about their rest lines by far less. What lies above that, and
+    goes on from the product or is long, is the product's, if it is near one.
+    """
+    from scipy.spatial import cKDTree
+
+    off = (stripes.x_px - stripes.rest_px) * np.sign(calibration.displacement_px_per_mm)[:, None]
+    belt, on = stripes.seen & (stripes.product == 0), stripes.seen & (stripes.product > 0)
+    if not belt.any() or not on.any():
+        return stripes
+    least_px = max(_THIN_PX, _THIN_SCATTERS * float(np.quantile(np.abs(off[belt]), _MOST)))
+    thin = belt & (off > least_px)
+    run = _runs(np.where(thin | on, stripes.x_px, np.nan))
+    count = int(run.max(initial=-1)) + 1
+    length = np.bincount(run[thin], minlength=count)
+    joined = np.bincount(run[on], minlength=count) > 0
+    thin &= (joined | (length >= _ALONE_ROWS))[run]
+    stripe, row = np.nonzero(thin)
+    if not stripe.size:
+        return stripes
+    of = np.nonzero(on)
+    spacing_px = (
+        abs(float(np.median(np.diff(stripes.rest_px, axis=0)))) if stripes.stripe_count > 1 else np.inf
+    )
+    away, nearest = cKDTree(np.column_stack([stripes.x_px[of], of[1]])).query(
+        np.column_stack([stripes.x_px[stripe, row], row])
+    )
+    near = away < 1.5 * spacing_px
+    product = stripes.product.copy()
+    product[stripe[near], row[near]] = stripes.product[of][nearest[near]]
+    return replace(stripes, product=product)
 
 
 def _asked_again(upright: StripeMap, peaks: Peaks, across: StripeMap, pair: _Families) -> StripeMap:

@@ -123,7 +123,14 @@ def found_dots(image: Floats, white: int, amplitude_min: float | None = None) ->
     if amplitude_min is not None:
         least = 0.5 * amplitude_min
     row, column = np.nonzero((raised > least) & (raised == cv2.dilate(raised, np.ones((5, 5), np.uint8))))
-    return np.column_stack([column, row, raised[row, column]]).astype(np.float64), noise
+    top = raised[row, column]
+    x, y = column.astype(np.float64), row.astype(np.float64)
+    for place, at, size, down, right in ((x, column, image.shape[1], 0, 1), (y, row, image.shape[0], 1, 0)):
+        inner = np.flatnonzero((at > 0) & (at < size - 1))
+        before, after = (raised[row[inner] + sign * down, column[inner] + sign * right] for sign in (-1, 1))
+        bend = 2.0 * top[inner] - before - after
+        place[inner] += 0.5 * (after - before) / np.maximum(bend, 1e-6)
+    return np.column_stack([x, y, top]), noise
 
 
 def fitted_dots(image: Floats, white: float, starts: Floats, noise: float, gain: float) -> Fit:

@@ -18,6 +18,7 @@ linear symmetry; the rest is ours.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -27,6 +28,7 @@ from pydantic import Field
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry_kernels.compiling import kernel
 from roemetry_peaks.gaussian import Gaussian, GaussianOptions
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA
 
@@ -53,6 +55,10 @@ _REMAINS = 6.0
 its speckle lies on the flanks of the peak, too, which the fit takes for dark and sure."""
 _TIMES = 2
 """That both families are measured: what the second time finds at crossings changes no line any more."""
+_SAME_PX = 3.0
+"""In a row, within which two peaks are of one line."""
+_ALONE = 0.02
+"""Of a peak's height, below which the other line's light does not move it."""
 _CLIPPED_PX = 7
 """Along the row, in which no pixel of a crossing may be white."""
 
@@ -88,10 +94,21 @@ class GridLines(Extractor[GridLinesOptions]):
             for found, on in zip(map(one.extract, frames), directed, strict=True)
         ]
         # where a line ends behind a crossing, too near for its direction to show, the second round knows it
-        for _ in range(_TIMES):
-            found = _without(one, frame, np.rot90(light[1], -1)), _without(one, frames[1], np.rot90(light[0]))
-            light = [_light_of(peaks, sure) for peaks, sure in found]
+        for _ in range(_TIMES - 1):
+            found = self._both(one, frames, light)
+            light = [_light_of(*family) for family in found]
+        found = self._both(one, frames, light)
         return replace(found[0][0], across=found[1][0])
+
+    @staticmethod
+    def _both(
+        one: Gaussian, frames: tuple[Frame, Frame], light: list[Floats]
+    ) -> tuple[tuple[Peaks, Flags, Flags], tuple[Peaks, Flags, Flags]]:
+        upright, across = light
+        return (
+            _without(one, frames[0], np.ascontiguousarray(np.rot90(across, -1))),
+            _without(one, frames[1], np.ascontiguousarray(np.rot90(upright))),
+        )
 
 
 def turned(frame: Frame) -> Frame:
@@ -99,17 +116,28 @@ def turned(frame: Frame) -> Frame:
     return replace(frame, pixels=np.ascontiguousarray(np.rot90(frame.pixels)))
 
 
-def _light_of(peaks: Peaks, kept: Flags) -> Floats:
+def _light_of(peaks: Peaks, kept: Flags, crossing: Flags | None = None) -> Floats:
     """Give the light of the lines that cross rows, as an image, grey levels over what is beside them.
 
-    `kept` (peak,) says which peaks are known to be of such lines.
+    `kept` (peak,) says which peaks are known to be of such lines, `crossing` which are, where light was taken
+    away: they count where the line does not go on behind, for what lies between its sound parts is surer.
     """
     row = peaks.row[kept]
-    numbers = np.column_stack([peaks.x_px, peaks.amplitude, peaks.width_px / FWHM_OF_SIGMA])[kept]
+    numbers = _numbers(peaks, kept)
     ahead = _neighbour(row, numbers[:, 0])
     hidden_row, hidden = _hidden(row, numbers, ahead)
     row, numbers = np.concatenate([row, hidden_row]), np.concatenate([numbers, hidden])
+    if crossing is not None and crossing.any():
+        at_row, more = peaks.row[crossing], _numbers(peaks, crossing)
+        free = _apart(at_row, more[:, 0], hidden_row, hidden[:, 0]) > _SAME_PX
+        row = np.concatenate([row, at_row[free]])
+        numbers = np.concatenate([numbers, more[free]])
     return _painted(row, numbers, peaks.image_size)
+
+
+def _numbers(peaks: Peaks, which: Flags) -> Floats:
+    """Give (n, 3) place, height and standard deviation of some peaks."""
+    return np.column_stack([peaks.x_px, peaks.amplitude, peaks.width_px / FWHM_OF_SIGMA])[which]
 
 
 def _gradients(pixels: Any) -> tuple[Any, Any]:
@@ -133,6 +161,14 @@ def _neighbour(row: Integers, x_px: Floats) -> Integers:
     nearest = np.where(np.abs(key[before] - key - wide) < np.abs(key[after] - key - wide), before, after)
     near = np.abs(key[nearest] - key - wide) <= _STEP_PX
     return np.where(near, nearest, -1)
+
+
+def _apart(row: Integers, x_px: Floats, other_row: Integers, other_px: Floats) -> Floats:
+    """Give how far the nearest of other places in the same row is; more than the image is wide of none."""
+    wide = 2.0 * max(float(x_px.max(initial=0.0)), float(other_px.max(initial=0.0))) + 1.0
+    key, others = row * wide + x_px, np.sort(np.concatenate([[-np.inf, np.inf], other_row * wide + other_px]))
+    at = np.searchsorted(others, key)
+    return np.asarray(np.minimum(key - others[at - 1], others[at] - key))
 
 
 def _hidden(row: Integers, numbers: Floats, ahead: Integers) -> tuple[Integers, Floats]:
@@ -175,29 +211,49 @@ def _slope(x_px: Floats, way: Integers, at: Integers) -> Floats:
 def _painted(row: Integers, numbers: Floats, size: tuple[int, int]) -> Floats:
     """Draw a Gaussian along its row for each of (n, 3) x, height and standard deviation."""
     light = np.zeros(size)
-    if not row.size:
-        return light
-    x, height, sigma = numbers.T
-    half = int(np.ceil(_REACH * min(float(sigma.max()), 0.1 * size[1])))
-    column = np.rint(x).astype(np.int64)[:, None] + np.arange(-half, half + 1)
-    value = height[:, None] * np.exp(-0.5 * ((column - x[:, None]) / sigma[:, None]) ** 2)
-    inside = (column >= 0) & (column < size[1])
-    # two lines of one family that come near each other share their light: the brighter one is drawn
-    np.maximum.at(light, (np.broadcast_to(row[:, None], column.shape)[inside], column[inside]), value[inside])
+    _paint(light, row, numbers)
     return light
 
 
-def _without(one: Gaussian, frame: Frame, light: Floats) -> tuple[Peaks, Flags]:
+@kernel
+def _paint(light: Floats, row: Integers, numbers: Floats) -> None:
+    # two lines of one family that come near each other share their light: the brighter one is drawn
+    columns = light.shape[1]
+    for k in range(row.size):
+        x, height, sigma = numbers[k]
+        half = math.ceil(_REACH * min(sigma, 0.1 * columns))
+        middle = int(np.rint(x))
+        for column in range(max(middle - half, 0), min(middle + half + 1, columns)):
+            value = height * math.exp(-0.5 * ((column - x) / sigma) ** 2)
+            light[row[k], column] = max(light[row[k], column], value)
+
+
+@kernel
+def _take_away(pixels: Any, light: Floats, left: Any, white: int) -> bool:
+    """Write to `left` what is left of pixels without light; what is white stays white. Says if any is."""
+    some = False
+    for row in range(pixels.shape[0]):
+        for column in range(pixels.shape[1]):
+            value = pixels[row, column]
+            if value >= white:
+                left[row, column], some = white, True
+            elif light[row, column] == 0.0:
+                left[row, column] = value
+            else:
+                left[row, column] = max(np.rint(value - light[row, column]), 0.0)
+    return some
+
+
+def _without(one: Gaussian, frame: Frame, light: Floats) -> tuple[Peaks, Flags, Flags]:
     """Measure the lines that are left when the other family's light is taken away.
 
-    Gives also (peak,) which of them run across the rows beyond doubt.
+    Gives also (peak,) which of them run across the rows beyond doubt: where they are alone, and at crossings.
     """
     from scipy.ndimage import maximum_filter1d
 
     pixels = frame.pixels
-    left = np.clip(np.rint(pixels - light), 0, frame.highest).astype(pixels.dtype)
-    white = pixels >= frame.highest
-    left[white] = frame.highest
+    left = np.empty_like(pixels)
+    some_white = _take_away(pixels, light, left, frame.highest)
     peaks = one.extract(replace(frame, pixels=left))
     at = peaks.row, np.rint(peaks.x_px).astype(np.int64)
     beside = light[at]
@@ -205,11 +261,9 @@ def _without(one: Gaussian, frame: Frame, light: Floats) -> tuple[Peaks, Flags]:
     along, down = _gradients(left)
     clean = along[at] > _OWN_DIRECTED * down[at]
     # where both together are white, nobody knows how much of it is the other line's
-    own = (
-        clean
-        & (peaks.amplitude > _OWN_MIN * beside)
-        & ~maximum_filter1d(white & (light >= 1.0), _CLIPPED_PX)[at]
-    )
+    own = clean & (peaks.amplitude > _OWN_MIN * beside)
+    if some_white:
+        own &= ~maximum_filter1d((pixels >= frame.highest) & (light >= 1.0), _CLIPPED_PX)[at]
     with np.errstate(divide="ignore", invalid="ignore"):
         grown = np.hypot(1.0, _REMAINS * beside / peaks.amplitude)
     kept = np.flatnonzero(own)
@@ -223,4 +277,5 @@ def _without(one: Gaussian, frame: Frame, light: Floats) -> tuple[Peaks, Flags]:
         width_px=peaks.width_px[kept],
         flags=peaks.flags[kept],
     )
-    return left_over, (along[at] > _DIRECTED * down[at])[kept]
+    sure, alone = (along[at] > _DIRECTED * down[at])[kept], (beside < _ALONE * peaks.amplitude)[kept]
+    return left_over, sure & alone, sure & ~alone
