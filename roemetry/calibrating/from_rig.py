@@ -269,6 +269,7 @@ def _prepared(laser: Frame, partner: Frame | None, rig: Rig, *, contrast: Contra
     frames = (laser,) if partner is None else (laser, replace(partner, role="dark"))
     options: dict[str, Any] = {
         "channel": rig.file.channel,
+        "second_channel": rig.file.second_channel if laser.role == "laser" else None,
         "contrast": contrast,
         "turn_deg": rig.file.turn_deg,
         "bit_depth": rig.file.bit_depth,
