@@ -31,6 +31,8 @@ from roemetry_kernels.rest_lines import calibrated_rest_lines, reasons_of
 _OFF = 0.5
 """Of what a label is worth in height, from which on two lines are not on one surface: flanks between two
 lines make a quarter of it."""
+_STEP_PX = 3.0
+"""From row to row, by which a line that goes on does not move."""
 _ROWS_MIN = 8
 """Of a run beside lines of the other family: in fewer rows edges may do that."""
 
@@ -111,8 +113,11 @@ def _off_the_other(peaks: Peaks, stripe: Integers, calibration: Calibration) -> 
     between[1:-1] = 0.5 * (z[:-2] + z[2:])
     off = np.abs(z - between) > _OFF * _worth_mm(calibration)
     known = np.isfinite(between) & np.isfinite(z)
-    begins = np.isfinite(z) & ~np.isfinite(np.roll(z, 1, axis=1))
-    begins[:, 0] = np.isfinite(z[:, 0])
+    x_px = np.full_like(z, np.nan)
+    x_px[stripe[on], peaks.row[on]] = peaks.x_px[on]
+    with np.errstate(invalid="ignore"):
+        goes_on = np.abs(np.diff(x_px, axis=1, prepend=np.nan)) < _STEP_PX
+    begins = np.isfinite(z) & ~goes_on
     run = np.cumsum(begins).reshape(z.shape)
     count = int(run.max(initial=0)) + 1
     seen = np.bincount(run[known], minlength=count)

@@ -243,7 +243,9 @@ def render(
         lens = partial(defocused, camera=rig.camera, focus=focus, depth_mm=depths_mm(rig.camera, solid))
     if plain:
         steady = plain_light(rig, solid, surface, samples, draft=draft)
-        return expose(np.zeros_like(steady), steady, rig.sensor, seed, lens, draft=draft)
+        grey = expose(np.zeros_like(steady), steady, rig.sensor, seed, lens, draft=draft)
+        # white light: a camera with colours has the same picture in each
+        return grey if rig.colour_leak is None else np.repeat(grey[..., None], 3, axis=2)
     if rig.colour_leak is not None:
         return _in_colours(rig, rig.colour_leak, solid, surface, seed, samples, lens, draft=draft)
     laser, ambient = laser_light(rig, solid, surface, samples, draft=draft)
