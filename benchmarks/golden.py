@@ -30,7 +30,8 @@ GOLDEN = ROOT / "tests" / "golden"
 RECIPES = (
     "belt_scan/height_map", "belt_scan/recipe", "bread_roll/recipe", "egg/recipe", "fish_fillet/recipe",
     "herring_roe/by_words", "herring_roe/recipe", "herring_roe/with_outline", "potato/recipe",
-    "potato_circles/recipe", "potato_dots/recipe", "potato_grid/recipe", "weld_groove/recipe",
+    "potato_circles/recipe", "potato_dots/recipe", "potato_grid/recipe", "potato_two_colours/recipe",
+    "weld_groove/recipe",
 )  # fmt: skip
 IMAGES = 4
 """Of a recipe's images: what moves a number moves it in the first few, and the files stay small."""

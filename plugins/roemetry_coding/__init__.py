@@ -68,6 +68,13 @@ def roemetry_stages() -> Iterable[StageEntry]:
     )
     yield StageEntry(
         kind="coder",
+        name="two-families",
+        target="roemetry_coding.two_families:TwoFamilies",
+        summary="Lines of two colours, each family by its planes, both by the surface they share",
+        reference="our own",
+    )
+    yield StageEntry(
+        kind="coder",
         name="circle-order",
         target="roemetry_coding.circles:CircleOrder",
         summary="Halves of circles by their cones, their order and the surface's continuity",

@@ -20,6 +20,7 @@ its label is then told by nothing. Source: our own; the costs are those of `plan
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -240,9 +241,7 @@ def _across(
     rise = np.abs(z[:, 1, None, :] - z[:, 0, :, None])
     cost = np.minimum((rise / (_STEEP * apart_mm[:, None, None])) ** 2, _BROKEN)
     one, other = stripe[beside[:, 0]][:, :, None], stripe[beside[:, 1]][:, None, :]
-    reach: Integers = np.cumsum(
-        _reaching(calibration, view), axis=0
-    )  # (half, row) how many reach the row, up to it
+    reach = _reaching(calibration)
     at = np.clip(np.rint(row).astype(np.int64), 0, reach.shape[1] - 1)[:, None, None]
     hidden: Integers = reach[np.maximum(other - 1, 0), at] - reach[np.maximum(one, 0), at]
     cost = cost + _HIDDEN * np.clip(hidden, 0, _HIDDEN_MAX)
@@ -257,13 +256,16 @@ def _mm_per_px(view: View) -> float:
     return float(np.linalg.norm(at[1] - at[0]))
 
 
-def _reaching(calibration: Calibration, view: View) -> Flags:
-    """Say (half, row) whether a half circle on the belt crosses the row."""
+@lru_cache(maxsize=4)
+def _reaching(calibration: Calibration) -> Integers:
+    """Say (half, row) how many halves on the belt cross the row, up to this one; the same for all frames."""
+    view = calibration.view
+    assert view is not None
     rows = np.arange(view.image_size[0], dtype=np.float64)
     x_px = calibration.rest_line_px(rows)
     z = view.lift(np.stack(np.broadcast_arrays(x_px, rows), axis=2), np.arange(len(x_px))[:, None])[..., 2]
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.abs(z) < _BELT_MM, np.bool_)
+        return np.asarray(np.cumsum(np.abs(z) < _BELT_MM, axis=0), np.int64)
 
 
 def _decided(problem: _Problem) -> tuple[Floats, Integers]:

@@ -68,6 +68,13 @@ def roemetry_stages() -> Iterable[StageEntry]:
         reference="Guo (2011), as gaussian; tracing is ours",
     )
     yield StageEntry(
+        kind="extractor",
+        name="two-channels",
+        target="roemetry_peaks.two_channels:TwoChannels",
+        summary="Lines of two colours, each family in its own channel of the image",
+        reference="Guo (2011), as gaussian; the rest is ours",
+    )
+    yield StageEntry(
         kind="smoother",
         name="local-polynomial",
         target="roemetry_peaks.local_polynomial:LocalPolynomial",

@@ -115,6 +115,24 @@ def grid_observed_of(rig: GridRig) -> CalibrationSet:
     return replace(observed, observations=tuple(observations))
 
 
+@lru_cache(maxsize=4)
+def two_families_observed_of(rig: LinearRig) -> CalibrationSet:
+    """Give what `observed_of` does, of lines whose colours take turns."""
+    observed, planes = observed_of(rig), _near_planes(rig)
+    observations = []
+    for one in observed.observations:
+        pose = None if one.shows == "belt" else _pose(int(one.pose.removeprefix("pose ")))
+        x, row = one.peaks.x_px, one.peaks.row
+        rest = rig.rest_px()[:, row]
+        if pose is not None and len(one.peaks):
+            ray = _rays(rig, x, row.astype(np.float64))
+            depth = (pose[0][:, 2] @ pose[1]) / (ray @ pose[0][:, 2])
+            rest = np.abs((ray * depth[:, None]) @ planes.T - 1.0).T + x
+        family = np.abs(rest - x).argmin(axis=0) % 2
+        observations.append(replace(one, peaks=replace(one.peaks, family=family.astype(np.int64))))
+    return replace(observed, observations=tuple(observations))
+
+
 def _calibration(rig: LinearRig, away_mm: float, planes: Floats) -> Calibration:
     size = (rig.rows, rig.columns)
     parameters = {

@@ -50,7 +50,7 @@ from roemetry_pinhole.pinhole_plane import (
     with_planes_shifted,
 )
 
-_APART_MAX = 3.0
+APART_MAX = 3.0
 """Standard deviations, root mean square over camera and belt, that the families may lie apart."""
 
 
@@ -113,22 +113,22 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
     columns = upright.image_size[1]
     turning = _turning(across.stripe_count, columns)
     back = turning[:, :-1]
-    one = _Found.of(flat(upright.parameters), upright.covariance, upright.stripe_count)
-    other = _Found.of(
+    one = FamilyFound.of(flat(upright.parameters), upright.covariance, upright.stripe_count)
+    other = FamilyFound.of(
         back @ flat(across.parameters) + turning[:, -1],
         back @ across.covariance @ back.T,
         across.stripe_count,
     )
     apart = one.shared - other.shared
-    surely = _inverse(one.covariance + other.covariance)
+    surely = inverse_of_known(one.covariance + other.covariance)
     off = float(np.sqrt(max(apart @ surely @ apart, 0.0) / max(np.linalg.matrix_rank(surely), 1)))
-    if off > _APART_MAX:
+    if off > APART_MAX:
         raise CalibrationError(
             f"the two families of lines tell of cameras {off:.1f} standard deviations apart",
             hint="is `lines` right, and did neither projector nor camera move between the images?",
         )
-    weights = 0.5 * _inverse(one.covariance), 0.5 * _inverse(other.covariance)
-    covariance = _inverse(weights[0] + weights[1])
+    weights = 0.5 * inverse_of_known(one.covariance), 0.5 * inverse_of_known(other.covariance)
+    covariance = inverse_of_known(weights[0] + weights[1])
     shared = one.shared + covariance @ weights[1] @ (other.shared - one.shared)
     # in the order of the parameters: camera, planes, belt, planes across
     follow = np.vstack([np.eye(15)[:12], one.gain, np.eye(15)[12:], other.gain])
@@ -171,7 +171,7 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
     )
 
 
-class _Found(NamedTuple):
+class FamilyFound(NamedTuple):
     """Camera and belt as one family tells them, and its planes."""
 
     shared: Floats
@@ -184,12 +184,12 @@ class _Found(NamedTuple):
     """(3 n, 15) how they follow it."""
 
     @classmethod
-    def of(cls, values: Floats, covariance: Floats, count: int) -> _Found:
+    def of(cls, values: Floats, covariance: Floats, count: int) -> FamilyFound:
         """Part parameters in the order camera, planes, belt."""
         planes = np.arange(12, 12 + 3 * count)
         shared = np.r_[0:12, 12 + 3 * count : 15 + 3 * count]
         known, with_them = covariance[np.ix_(shared, shared)], covariance[np.ix_(planes, shared)]
-        gain = with_them @ _inverse(known)
+        gain = with_them @ inverse_of_known(known)
         own = covariance[np.ix_(planes, planes)] - gain @ with_them.T
         return cls(values[shared], known, values[planes], own, gain)
 
@@ -215,7 +215,7 @@ def _of_lines_across(covariance: Floats, stripes: int, columns: int) -> Floats:
     return np.asarray(back.T @ covariance[np.ix_(mine, mine)] @ back)
 
 
-def _inverse(matrix: Floats) -> Floats:
+def inverse_of_known(matrix: Floats) -> Floats:
     """Give the inverse of what is not 0 of a covariance or its inverse: 0 is what was held fixed."""
     size = np.sqrt(np.diag(matrix))
     scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)

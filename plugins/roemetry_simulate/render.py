@@ -69,6 +69,8 @@ class Rig:
     - `stray_mm`: Where a lamp is that is always on, which glossy places mirror; None is none.
     - `stray_grey`: Grey level of a white surface that faces this lamp.
     - `focus`: Where the lens is focused; None is sharp everywhere, up to the sensor's own blur.
+    - `colour_leak`: The planes are of two colours in turn, red first, and each of the camera's channels also
+      passes so much of the other colour; None is one colour, and a grey image.
     """
 
     camera: Camera
@@ -81,6 +83,7 @@ class Rig:
     stray_mm: tuple[float, float, float] | None = None
     stray_grey: float = 0.0
     focus: Focus | None = None
+    colour_leak: float | None = None
 
 
 def laser_light(
@@ -240,9 +243,36 @@ def render(
         lens = partial(defocused, camera=rig.camera, focus=focus, depth_mm=depths_mm(rig.camera, solid))
     if plain:
         steady = plain_light(rig, solid, surface, samples, draft=draft)
-        return expose(np.zeros_like(steady), steady, rig.sensor, seed, lens, draft=draft)
+        grey = expose(np.zeros_like(steady), steady, rig.sensor, seed, lens, draft=draft)
+        # white light: a camera with colours has the same picture in each
+        return grey if rig.colour_leak is None else np.repeat(grey[..., None], 3, axis=2)
+    if rig.colour_leak is not None:
+        return _in_colours(rig, rig.colour_leak, solid, surface, seed, samples, lens, draft=draft)
     laser, ambient = laser_light(rig, solid, surface, samples, draft=draft)
     return expose(laser, ambient, rig.sensor, seed, lens, draft=draft)
+
+
+def _in_colours(
+    rig: Rig, leak: float, solid: Solid, surface: Surface, seed: int, samples: int,
+    lens: Callable[[Floats], Floats] | None, *, draft: bool,
+) -> NDArray[Any]:  # fmt: skip
+    """Take an image of planes that are red and green in turn, (row, column, colour): blue, green, red."""
+    turn = np.arange(rig.laser.count) % 2
+    families = (
+        replace(rig.laser, peak_grey=np.where(turn == one, rig.laser.peak_grey, 0.0)) for one in (0, 1)
+    )
+    (red, steady), (green, _) = (
+        laser_light(replace(rig, laser=family), solid, surface, samples, draft=draft) for family in families
+    )
+    channels = np.zeros_like(red), green + leak * red, red + leak * green
+    seeds = (seed + one * 2**33 for one in (2, 1, 0))  # each channel has a noise of its own
+    return np.stack(
+        [
+            expose(light, steady, rig.sensor, one, lens, draft=draft)
+            for light, one in zip(channels, seeds, strict=True)
+        ],
+        axis=2,
+    )
 
 
 def as_stored(pixels: NDArray[Any], turn_deg: int) -> NDArray[Any]:

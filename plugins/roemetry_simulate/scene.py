@@ -107,10 +107,18 @@ class RayCasterLaser(LaserPart):
     )
 
     circles: CirclesPart | None = Field(default=None, description="circles instead of lines")
+    colours: Literal[1, 2] = Field(
+        default=1, description="2: planes are red and green in turn, and images are in colour"
+    )
+    colour_leak: float = Field(
+        default=0.03, ge=0, lt=1, description="share of the other colour that a channel of the camera passes"
+    )
 
     @model_validator(mode="after")
     def _is_one_pattern(self) -> RayCasterLaser:
         given = [name for name in ("dots", "grid", "circles") if getattr(self, name) is not None]
+        if given and self.colours == 2:
+            raise MisfitError((("colours",), "two colours are for lines"))
         if len(given) > 1:
             raise MisfitError(((given[-1],), f"{' or '.join(given)}: leave one of both out"))
         return self
@@ -174,6 +182,7 @@ def rig_of(scene: RayCasterOptions) -> Rig:
         stray_mm=None if light.stray is None else light.stray.position_mm,
         stray_grey=0.0 if light.stray is None else light.stray.e_per_ms * grey,
         focus=None if focus is None else Focus(focus.distance_mm, focus.f_number),
+        colour_leak=laser.colour_leak if laser.colours == 2 else None,
     )
 
 

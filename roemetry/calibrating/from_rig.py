@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from roemetry.calibrating.evidence import findings_page
-from roemetry.config.recipe_file import Contrast
+from roemetry.config.recipe_file import Colour, Contrast
 from roemetry.config.rig import Rig, pose_of
 from roemetry.errors import CalibrationError
 from roemetry.io.files import sha256_of, write_whole
@@ -228,7 +228,9 @@ def observe(
             partner = plain.get((board, target, pose))
             if partner is not None and _other_scene(partner, read):
                 partner = None  # it shows the board, not what to subtract
-            light = _prepared(read, partner, rig, contrast=rig.file.contrast)
+            light = _prepared(
+                read, partner, rig, contrast=rig.file.contrast, second_channel=rig.file.second_channel
+            )
             with wrap_stage_error("extractor", rig.extractor):
                 peaks = check_result_type("extractor", extractor.extract(light))
             observations.append(Observation(target, frame, peaks, pose, board))
@@ -264,11 +266,19 @@ def default_path(rig: Rig) -> Path:
     return rig.path.with_name("calibration.yaml")
 
 
-def _prepared(laser: Frame, partner: Frame | None, rig: Rig, *, contrast: Contrast) -> Frame:
+def _prepared(
+    laser: Frame,
+    partner: Frame | None,
+    rig: Rig,
+    *,
+    contrast: Contrast,
+    second_channel: Colour | None = None,
+) -> Frame:
     """One channel, turned; the light of the laser alone where there is a laser-off partner."""
     frames = (laser,) if partner is None else (laser, replace(partner, role="dark"))
     options: dict[str, Any] = {
         "channel": rig.file.channel,
+        "second_channel": second_channel,
         "contrast": contrast,
         "turn_deg": rig.file.turn_deg,
         "bit_depth": rig.file.bit_depth,
@@ -284,7 +294,10 @@ def _other_scene(plain: Frame, laser: Frame) -> bool:
     Light adds: nothing is darker with the laser on. Much that is a little darker was lit by a lamp before; a
     little that is much darker has moved, and the edges of its print would pass for stripes.
     """
-    darker = plain.pixels.astype(np.float32) - laser.pixels
+    off, on = plain.pixels, laser.pixels
+    if off.ndim != on.ndim:  # one is grey: of the other the brightest colour counts
+        off, on = (one.max(axis=2) if one.ndim == 3 else one for one in (off, on))
+    darker = off.astype(np.float32) - on
     return any(float((darker > grey * laser.white).mean()) > share for grey, share in _DARKER_MAX)
 
 

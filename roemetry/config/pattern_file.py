@@ -25,6 +25,7 @@ class PatternFile(Section):
     lines_y: int | None = Field(
         default=None, ge=1, le=200, description="lines one below the other along Y; of dots: in a column"
     )
+    colours: Literal[1, 2] = Field(default=1, description="2: lines are of two colours in turn, red first")
     spacing_x_mm: float | None = Field(
         default=None, gt=0, le=1000, description="between neighbours along X on the belt, mm; scenes need it"
     )
@@ -40,6 +41,8 @@ class PatternFile(Section):
             raise ValueError(
                 f"{self.kind} follow each other along X alone: lines_y and spacing_y_mm are for others"
             )
+        if self.kind != "lines" and self.colours == 2:
+            raise ValueError("two colours are for lines")
         if self.kind in ("grid", "dots") and self.lines_y is None:
             raise ValueError(f"{self.kind} need lines_y, too")
         return self
@@ -75,7 +78,7 @@ class PatternFile(Section):
         """
         if self.spacing_x_mm is None and self.lines_x > 1:
             raise ConfigurationError("a scene needs spacing_x_mm of its pattern")
-        wanted: dict[str, Any] = {"planes": self.lines_x}
+        wanted: dict[str, Any] = {"planes": self.lines_x} | ({"colours": 2} if self.colours == 2 else {})
         if self.spacing_x_mm is not None:
             wanted["spacing_mm"] = self.spacing_x_mm
         if self.kind == "circles":
@@ -85,7 +88,7 @@ class PatternFile(Section):
             apart = self.spacing_y_mm or self.spacing_x_mm
             wanted[self.light] = {"lines": self.across} | ({"spacing_mm": apart} if apart else {})
         laser = dict(simulator.options.get("laser") or {})
-        for key in ("planes", "spacing_mm", "grid", "dots", "circles", "belt_x_mm"):
+        for key in ("planes", "spacing_mm", "grid", "dots", "circles", "colours", "belt_x_mm"):
             if laser.get(key) not in (None, wanted.get(key)):
                 raise ConfigurationError(
                     f"the pattern says {key}: {wanted.get(key)}, and laser.{key} {laser[key]}",

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 Channel = Literal["grey", "red", "green", "blue", "max"]
+Colour = Literal["red", "green", "blue"]
 Contrast = Literal["none", "red", "green", "blue"]
 Turn = Literal[0, 90, 180, 270]
 
@@ -47,6 +48,9 @@ class SourceChoice(Section):
     use: str = Field(default="image-files", description="name of the source's stage")
     path: str = Field(description="what to read: a file, a folder, or a pattern such as `images/*.png`")
     channel: Channel = Field(default="grey", description="what to make of a colour image")
+    second_channel: Colour | None = Field(
+        default=None, description="channel of a second family of lines, of another colour; none: there is one"
+    )
     contrast: Contrast = Field(
         default="none",
         description="instead of a channel: that of the laser's colour, less the lamp light that others show; "

@@ -13,7 +13,16 @@ from pydantic import Field
 
 from roemetry.config.overrides import Overridden
 from roemetry.config.pattern_file import PatternFile, read_pattern
-from roemetry.config.recipe_file import Channel, Choice, Contrast, Section, SensorFile, StageChoice, Turn
+from roemetry.config.recipe_file import (
+    Channel,
+    Choice,
+    Colour,
+    Contrast,
+    Section,
+    SensorFile,
+    StageChoice,
+    Turn,
+)
 from roemetry.config.resolve import ResolvedStage, StageResolver
 from roemetry.config.target_file import (
     BlockFile,
@@ -118,6 +127,7 @@ class RigFile(Section):
         description="number of stripes the laser projects; needed where an image shows them",
     )
     channel: Channel = Field(default="grey", description="what to make of a colour image")
+    second_channel: Colour | None = Field(default=None, description="as in the recipe")
     contrast: Contrast = Field(
         default="none",
         description="instead of a channel: that of the laser's colour, less the lamp light that others show",

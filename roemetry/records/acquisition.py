@@ -62,10 +62,16 @@ class Frame(Shown):
     """time_s, encoder_count: when and where on the belt it was taken; NaN where not known."""
     sensor: Sensor | None = None
     """The camera's noise, or None where nothing is known of it."""
+    second: NDArray[Any] | None = None
+    """(row, column) of light in two families: the second family's channel, prepared as `pixels`, which
+    are the first's; None: there is one."""
 
     def __post_init__(self) -> None:
         pixels = np.asarray(self.pixels)
         faults = []
+        second = self.second
+        if second is not None and (second.shape != pixels.shape or second.dtype != pixels.dtype):
+            faults.append(f"second is {second.shape} {second.dtype}, not {pixels.shape} {pixels.dtype}")
         if pixels.dtype not in (np.uint8, np.uint16):
             faults.append(f"pixels are {pixels.dtype}, expected uint8 or uint16")
         if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] == 3)):

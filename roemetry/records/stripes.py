@@ -46,6 +46,9 @@ class Peaks(Shown):
     across: Peaks | None = None
     """Of a grid: peaks of the lines across, in the image turned by 90° counter-clockwise, where they cross
     rows as other lines do; None: there is one family of lines."""
+    family: Integers | None = None
+    """(peak,) of lines in two families that stand between each other, by colour: 0 of the first line's
+    and every second one's, 1 of the others'; None: there is one family, or it is not known."""
     row_start: Integers = field(init=False)
     """(row + 1,) where each row's peaks begin: those of row r are ``row_start[r]:row_start[r + 1]``."""
 
@@ -59,6 +62,8 @@ class Peaks(Shown):
         check.array("flags", np.uint8, (n,))
         check.require(self.correlation_rows >= 0, "correlation_rows is negative")
         check.require(self.dots is None or self.dots.y_px.shape == (n,), "dots and x_px differ in number")
+        if self.family is not None:
+            check.array("family", np.int64, (n,))
         rows, columns = self.image_size
         turned = self.across is None or self.across.image_size == (columns, rows)
         check.require(turned, "peaks across are not those of the turned image")

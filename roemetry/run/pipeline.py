@@ -329,6 +329,7 @@ def frame_of(recipe: Recipe, acquisition: Acquisition, *, extractor: Any = None)
     frame = prepare(
         acquisition,
         channel=source.channel,
+        second_channel=source.second_channel,
         contrast=source.contrast,
         turn_deg=source.turn_deg,
         subtract=source.subtract,

@@ -49,6 +49,7 @@ def prepare(
     subtract: str,
     bit_depth: int | None = None,
     sensor: Sensor | None = None,
+    second_channel: str | None = None,
 ) -> Frame:
     """Make the laser frame ready; DataError where a frame is missing, sizes differ, or bits are in doubt.
 
@@ -64,7 +65,19 @@ def prepare(
         ``dark`` takes the laser-off partner away, grey level by grey level, cut off at 0; or ``none``.
     bit_depth, sensor
         Bits in use, and the camera's noise; None leaves what the source said.
+    second_channel
+        That of a second family of light, as `channel`; None: there is one family.
     """
+    if second_channel is not None:
+        options: dict[str, Any] = {"turn_deg": turn_deg, "subtract": subtract, "bit_depth": bit_depth}
+        first = prepare(acquisition, channel=channel, sensor=sensor, **options)
+        if _colourless(acquisition):
+            raise DataError(
+                f"{acquisition.id}: the laser image has no colours, of which `second_channel` is one",
+                hint="give a colour image, or leave second_channel out",
+            )
+        second = prepare(acquisition, channel=second_channel, **options)
+        return replace(first, second=second.pixels)
     laser = acquisition.frame("laser")
     if laser is None:
         raise DataError(f"{acquisition.id}: there is no laser image")
@@ -105,6 +118,11 @@ def prepare_plain(acquisition: Acquisition, *, turn_deg: int) -> Frame | None:
     if plain is None:
         return None
     return replace(plain, pixels=_turned(plain.pixels, turn_deg), turn_deg=(plain.turn_deg + turn_deg) % 360)
+
+
+def _colourless(acquisition: Acquisition) -> bool:
+    laser = acquisition.frame("laser")
+    return laser is not None and laser.pixels.ndim == 2
 
 
 _USUAL_BITS = (10, 12, 14)  # of sensors that write 16-bit files

@@ -1,0 +1,135 @@
+"""Lines of two families between each other: each coded by its planes, both by the one surface they lie on.
+
+Model. Every second line is of another colour, and each peak says of which (`Peaks.family`). Within a
+family lines stand twice as far apart as all together, so a height that takes a line to its neighbour's
+place is twice as large, and `planes` codes each family as if the other were not there. What a wrong label
+does to a height is then known: lines of both families alternate on one surface, and where a run of one
+lies off the lines of the other on both its sides by half of what a label is worth or more, in most of its
+rows, one of them is a line off. Such runs are refused.
+
+Without families, as of a frame of one channel, it is `planes`. It cannot tell what both families get wrong
+alike. Source: our own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from roemetry.errors import StageError
+from roemetry.records import Peaks, Reason, StripeMap
+from roemetry.records.arrays import Flags, Floats, Integers
+from roemetry.records.calibration import Calibration
+from roemetry.records.stripes import AMBIGUOUS, UNLABELLED
+from roemetry.stages import Coder
+from roemetry_coding.planes import Planes, PlanesOptions
+from roemetry_kernels.bridging import bridged
+from roemetry_kernels.consistency import required_calibration
+from roemetry_kernels.rest_lines import calibrated_rest_lines, reasons_of
+
+_OFF = 0.5
+"""Of what a label is worth in height, from which on two lines are not on one surface: flanks between two
+lines make a quarter of it."""
+_STEP_PX = 3.0
+"""From row to row, by which a line that goes on does not move."""
+_ROWS_MIN = 8
+"""Of a run beside lines of the other family: in fewer rows edges may do that."""
+
+
+class TwoFamilies(Coder[PlanesOptions]):
+    """Codes each family by its planes, and asks whether both lie on one surface."""
+
+    Options = PlanesOptions
+
+    def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
+        """Code the peaks of one frame.
+
+        Raises
+        ------
+        StageError
+            What `planes` refuses of either family, which is named.
+        """
+        if peaks.family is None:
+            return Planes(self.options).code(peaks, calibration)
+        calibration = required_calibration(calibration, "two-families", "without planes a peak has no height")
+        stripe, margin = np.full(len(peaks), UNLABELLED, np.int64), np.full(len(peaks), np.nan)
+        for family, name in enumerate(("first", "second")):
+            mine = np.flatnonzero(peaks.family == family)
+            try:
+                coded = Planes(self.options).code(part_of(peaks, mine), family_of(calibration, family))
+            except StageError as error:
+                raise StageError(f"lines of the {name} colour: {error.message}", hint=error.hint) from error
+            label = coded.peak_stripe.astype(np.int64)
+            stripe[mine] = np.where(label >= 0, 2 * label + family, label)
+            own = np.flatnonzero(label >= 0)
+            margin[mine[own]] = coded.margin[label[own], peaks.row[mine[own]]]
+        off = _off_the_other(peaks, stripe, calibration)
+        stripe[off] = AMBIGUOUS
+        rest = calibrated_rest_lines(peaks, calibration)
+        said = reasons_of(rest)
+        if off.any():
+            said.append(
+                Reason("families-disagree", f"{int(off.sum())} peaks lie off the lines of the other colour")
+            )
+        return bridged(
+            peaks,
+            stripe,
+            margin,
+            rest,
+            longest_gap_rows=self.options.longest_gap_rows,
+            smallest_product_points=self.options.smallest_product_points,
+            reasons=said,
+        )
+
+
+def part_of(peaks: Peaks, mine: Integers) -> Peaks:
+    """Give some of the peaks."""
+    names = "row", "x_px", "x_std_px", "amplitude", "background", "width_px", "flags"
+    return replace(peaks, **{name: getattr(peaks, name)[mine] for name in names}, family=None)
+
+
+def family_of(calibration: Calibration, family: int) -> Calibration:
+    """Give what coders need of a calibration for every second stripe."""
+    view = calibration.view
+    return replace(
+        calibration,
+        rest_px=calibration.rest_px[family::2],
+        displacement_px_per_mm=calibration.displacement_px_per_mm[family::2],
+        view=None if view is None else replace(view, planes=view.planes[family::2]),
+    )
+
+
+def _off_the_other(peaks: Peaks, stripe: Integers, calibration: Calibration) -> Flags:
+    """Say which peaks are of runs that lie off the lines of the other family on both sides."""
+    view, rows = calibration.view, peaks.image_size[0]
+    if view is None:
+        return np.zeros(len(peaks), np.bool_)
+    on = np.flatnonzero(stripe >= 0)
+    z = np.full((calibration.stripe_count, rows), np.nan)
+    xy = np.column_stack([peaks.x_px[on], peaks.row[on]])
+    z[stripe[on], peaks.row[on]] = view.lift(xy, stripe[on])[:, 2]
+    between = np.full_like(z, np.nan)
+    between[1:-1] = 0.5 * (z[:-2] + z[2:])
+    off = np.abs(z - between) > _OFF * _worth_mm(calibration)
+    known = np.isfinite(between) & np.isfinite(z)
+    x_px = np.full_like(z, np.nan)
+    x_px[stripe[on], peaks.row[on]] = peaks.x_px[on]
+    with np.errstate(invalid="ignore"):
+        goes_on = np.abs(np.diff(x_px, axis=1, prepend=np.nan)) < _STEP_PX
+    begins = np.isfinite(z) & ~goes_on
+    run = np.cumsum(begins).reshape(z.shape)
+    count = int(run.max(initial=0)) + 1
+    seen = np.bincount(run[known], minlength=count)
+    bad = np.bincount(run[known & off], minlength=count)
+    refused = (seen >= _ROWS_MIN) & (2 * bad > seen)
+    found = np.zeros(len(peaks), np.bool_)
+    found[on] = refused[run[stripe[on], peaks.row[on]]]
+    return found
+
+
+def _worth_mm(calibration: Calibration) -> Floats:
+    """Height from a plane to the next one of its family, where a place in the image stays the same."""
+    middle = np.array([0.5 * (calibration.image_size[0] - 1)])
+    apart = np.diff(calibration.rest_line_px(middle)[::2], axis=0)
+    return np.asarray(np.median(np.abs(apart)) / np.median(np.abs(calibration.displacement_px_per_mm)))
