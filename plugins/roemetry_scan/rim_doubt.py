@@ -26,20 +26,35 @@ def rim_mm3(before: Profiles, found: Profiles) -> Floats:
     `before` are slices of which nothing was followed, `found` the same with their flanks.
     """
     stds = np.zeros(found.rim_mm.size)
-    if not np.isfinite(found.rim_mm).any():
-        return stds
-    label, none, many = before.product, np.zeros(before.product.shape, np.bool_), stds.size - 1
+    for number in range(1, stds.size):
+        if not np.isfinite(found.rim_mm[number]):
+            continue
+        lines = np.flatnonzero((found.product == number).any(axis=1))
+        # a copy of all slices would be megabytes; shadow and belt beside a product are no longer than it is
+        reach = int(np.ptp(lines)) + 1
+        near = slice(max(0, int(lines[0]) - reach), int(lines[-1]) + reach + 1)
+        try:
+            told = sections_of(_part(found, near), number).volume_mm3
+            stds[number] = abs(sections_of(_by_outer_points(_part(before, near)), number).volume_mm3 - told)
+        except StageError:  # a product of which too little is seen for a volume has no uncertainty either
+            continue
+    return stds
+
+
+def _by_outer_points(before: Profiles) -> Profiles:
+    """Follow flanks to rims that lie higher by as much as the outermost points say."""
+    label, none = before.product, np.zeros(before.product.shape, np.bool_)
+    many = int(label.max(initial=0))
     rims, by_row = rims_of(before.xyz_mm, label, none, many)
     outer, _ = rims_of(before.xyz_mm, label, none, many, 0)
     off = np.where(np.isfinite(outer), outer - rims, 0.0)
     reach = reach_of(before.xyz_mm, label, none, by_row)
     rims, by_row = np.maximum(rims + off, 0.0), np.maximum(by_row + off[:, None], 0.0)
     xyz_mm, label, added = followed_to(before.xyz_mm, label, before.plane, rims, by_row, reach)
-    other = replace(before, xyz_mm=xyz_mm, product=label, seen=before.seen & ~added, rim_mm=rims)
-    for number in range(1, many + 1):
-        try:
-            volumes = [sections_of(one, number).volume_mm3 for one in (found, other)]
-        except StageError:  # a product of which too little is seen for a volume has no uncertainty either
-            continue
-        stds[number] = abs(volumes[1] - volumes[0])
-    return stds
+    return replace(before, xyz_mm=xyz_mm, product=label, seen=before.seen & ~added, rim_mm=rims)
+
+
+def _part(profiles: Profiles, lines: slice) -> Profiles:
+    """Leave some of the slices."""
+    names = ("xyz_mm", "product", "seen", "x_px", "row_px", "height_std_mm", "stripe", "frame", "plane")
+    return replace(profiles, **{name: getattr(profiles, name)[lines] for name in names})
