@@ -12,8 +12,10 @@ Uncertainty, each part a standard deviation: `motion` V·u(t·n)/(t·n); `belt o
 is because camera or laser have moved; `encoder quantum` half a count's way, uniform, of each slice's place;
 `belt jitter` the belt's scatter from line to line on slices; `slip` by the disagreement of several
 lines; `between slices` by what every other slice would give; `flanks` a part of what is not seen of them;
-`not seen beside` what lies between a slice's ends and the belt seen next to them, should it be as high as
-these; `gaps` a tenth of what straight lines fill.
+`rim` by how much the rim's height changes with the points that tell it;
+`not seen beside` what may lie between a slice's ends and what is seen next to them; `length of the line` V
+times twice its change since calibration; `damaged lines` three lines for each that was left out; `gaps` a tenth
+of what straight lines fill.
 """
 
 from __future__ import annotations
@@ -170,6 +172,8 @@ def budget_of(found: Sections, profiles: Profiles, number: int) -> dict[str, flo
         "gaps": _OVER_GAP * float(found.filled_mm2 @ found.held_mm)
         + _OVER_GAP * float(area @ (found.held_mm - found.own_mm)),
     }
+    if number < profiles.rim_mm3.size:
+        budget["rim"] = float(profiles.rim_mm3[number])
     if number < profiles.beside_mm3.size:
         budget["not seen beside"] = _UP_TO * float(profiles.beside_mm3[number])
     scan = profiles.scan

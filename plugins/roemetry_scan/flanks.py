@@ -176,7 +176,7 @@ def _along_slices(xyz: Floats, label: Labels, added: Flags, plane: Floats, rims:
 
 
 @float_kernel
-def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> tuple[Floats, Floats]:
+def rims_of(xyz: Floats, label: Labels, added: Flags, products: int, first: int = 1) -> tuple[Floats, Floats]:
     """Give (product + 1,) the height of each one's rim, and (product + 1, row) that of its sections by rows.
 
     NaN where belt is seen right beside too few of them. Near its rim a section is an ellipse, whose heights
@@ -186,7 +186,7 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> tuple[Fl
     left out: of a sheet of light that reaches beyond the rim only its upper part is seen, which lifts that
     point by up to 0.3 mm. Rows with few dim points alone would be those whose last point lies far from the
     rim by chance; so all rows of a side count if most have no more than `_DIM_MOST`, and of the other side,
-    which shadow hides, those with one at most.
+    which shadow hides, those with one at most. With `first` 0 it is the last point and the second that tell.
 
     What a row shows lies in a plane that leans towards the camera, the more the farther to the side. Its
     section of a body ends above the body's rim there; the slices' planes, which stand upright, end at that of
@@ -214,10 +214,12 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int) -> tuple[Fl
                             few[number] += unseen <= _DIM_MOST
                         else:
                             most = _DIM_MOST if 2 * few[number] > all_rows[number] else 1
-                            one, two = m + way, m + 2 * way
+                            one, two = m + first * way, m + (first + 1) * way
                             inside = 0 <= two < slices and label[one, k] == number and label[two, k] == number
                             if unseen <= most and inside and count[number] < 2 * points:
-                                found[number, count[number]] = _rim_of_row(xyz, label, m, k, way, unseen)
+                                found[number, count[number]] = _rim_of_row(
+                                    xyz, label, m, k, way, unseen, first
+                                )
                                 at[number, count[number]] = k
                                 count[number] += 1
                         unseen = slices
@@ -243,9 +245,10 @@ def _usual(values: Floats) -> float:
 
 
 @inlined
-def _rim_of_row(xyz: Floats, label: Labels, m: int, k: int, way: int, unseen: int) -> float:
-    """Give the rim by a row's second and third point from outside; see `rims_of`."""
-    one, two, top = m + way, m + 2 * way, m
+def _rim_of_row(xyz: Floats, label: Labels, m: int, k: int, way: int, unseen: int, first: int) -> float:
+    """Give the rim by two points of a row, `first` (0 is the outermost) and the next; see `rims_of`."""
+    one, two, top = m + first * way, m + (first + 1) * way, m
+    beyond = unseen + first + 0.5
     i = m
     while 0 <= i < label.shape[0] and label[i, k] == label[m, k]:
         if xyz[i, k, 2] > xyz[top, k, 2]:
@@ -253,8 +256,8 @@ def _rim_of_row(xyz: Floats, label: Labels, m: int, k: int, way: int, unseen: in
         i += way
     step = abs(xyz[two, k, 0] - xyz[one, k, 0])
     half = abs(xyz[top, k, 0] - xyz[m, k, 0]) + (unseen + 0.5) * step
-    near, far = (unseen + 1.5) * step / half, (unseen + 2.5) * step / half
-    share = math.sqrt((unseen + 1.5) / (unseen + 2.5))
+    near, far = beyond * step / half, (beyond + 1.0) * step / half
+    share = math.sqrt(beyond / (beyond + 1.0))
     if far < 1.0:  # else the top is beside the rim: what is left is a parabola
         share *= math.sqrt((2.0 - near) / (2.0 - far))
     return xyz[one, k, 2] - share / (1.0 - share) * max(xyz[two, k, 2] - xyz[one, k, 2], 0.0)

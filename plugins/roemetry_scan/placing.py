@@ -38,6 +38,7 @@ from roemetry_scan.counting import counted
 from roemetry_scan.flanks import followed, usual_step
 from roemetry_scan.line_ends import line_ends, longer_by
 from roemetry_scan.motion import measured_motion
+from roemetry_scan.rim_doubt import rim_mm3
 from roemetry_scan.rows import RowTable, placed, points_of_rows
 from roemetry_scan.slip import slip_of
 from roemetry_scan.torn_lines import torn_lines
@@ -234,7 +235,7 @@ def _with_flanks(profiles: Profiles) -> Profiles:
     """Add what is not seen of products' flanks, and say what is not seen beside them."""
     xyz_mm, label, added, rims = followed(profiles.xyz_mm, profiles.product, profiles.plane)
     found = replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added, rim_mm=rims)
-    return replace(found, beside_mm3=beside_mm3(found))
+    return replace(found, beside_mm3=beside_mm3(found), rim_mm3=rim_mm3(profiles, found))
 
 
 def _lags(plane: Floats, motion: Floats, middle: int) -> Floats:

@@ -41,7 +41,9 @@ class Profiles(Shown):
     rim_mm: Floats = field(default_factory=lambda: np.empty(0))
     """(product + 1,) height, by the product's number, at which flanks end that bulge over the belt; NaN where
     it is not known. Empty: nobody has looked for it."""
-
+    rim_mm3: Floats = field(default_factory=lambda: np.empty(0))
+    """(product + 1,) by the product's number, standard deviation of its volume by the rim's height. Empty:
+    nobody has looked for it."""
     beside_mm3: Floats = field(default_factory=lambda: np.empty(0))
     """(product + 1,) by the product's number, how much larger it is if what is not seen between its slices'
     ends and the belt beside them is as high as these. Empty: nobody has looked for it."""
@@ -56,6 +58,7 @@ class Profiles(Shown):
             check.array(name, np.float64, (slices, points))
         for name in ("stripe", "frame"):
             check.array(name, np.int64, (slices,))
+        check.array("rim_mm3", np.float64, (None,))
         check.array("beside_mm3", np.float64, (None,))
         check.array("rim_mm", np.float64, (None,))
         plane = check.array("plane", np.float64, (slices, 4))

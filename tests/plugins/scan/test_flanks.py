@@ -47,5 +47,9 @@ def test_a_rim_is_found_beside_points_that_are_too_dim_and_one_that_is_lifted(
     height_mm[last] += 0.3
     label[:30] = -1  # in the shadow
     xyz_mm = np.stack([x_mm, np.zeros_like(x_mm), np.where(label < 0, np.nan, height_mm)], axis=-1)
-    rims, _ = rims_of(xyz_mm, label, np.zeros(label.shape, np.bool_), 1)
+    none = np.zeros(label.shape, np.bool_)
+    rims, _ = rims_of(xyz_mm, label, none, 1)
     assert rims[1] == pytest.approx(rim_mm, abs=0.15)
+    # what lifts the last point says how far off the rim may be
+    outer, _ = rims_of(xyz_mm, label, none, 1, 0)
+    assert 0.5 < outer[1] - rims[1] < 2.0
