@@ -47,8 +47,8 @@ _GAP_ROWS = 8
 _REACH_ROWS = 4
 """Behind its end, that a line still crosses another: half of what a crossing takes."""
 _THIN_PX, _THIN_SCATTERS = 0.3, 10.0
-"""Beside its rest line, from which on a line may lie on something thin, and at least in median distances of the
-belt's points from theirs: seven standard deviations."""
+"""Beside its rest line, from which on a line may lie on something thin, and at least in median distances of
+the belt's points from theirs: seven standard deviations."""
 _ALONE_ROWS = 12
 """Least length of a thin part that does not go on from the product: half a spacing."""
 _END_ROWS = 3
