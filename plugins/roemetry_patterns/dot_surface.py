@@ -411,7 +411,11 @@ class _Prior:
         return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
 
-def _krige(scene: _Scene, rim_mm: float, reach: float = _REACHES[1], size: float = _SIZES[1]) -> _Kriged:
+_FIRST = _REACHES[1], _SIZES[1]
+"""Reach and size with which rims are looked for."""
+
+
+def _krige(scene: _Scene, rim_mm: float, reach: float = _FIRST[0], size: float = _FIRST[1]) -> _Kriged:
     """Condition the field on points and border."""
     from scipy.linalg import solve_triangular
 
@@ -531,8 +535,9 @@ def _likeliest(scene: _Scene) -> tuple[_Kriged, float]:
     shares = np.array([weight[at] for at in likely])
     mean = float(shares @ volumes / shares.sum())
     spread = math.sqrt(float(shares @ (volumes - mean) ** 2 / shares.sum()))
+    others = [(reach, size) for reach in _REACHES for size in _SIZES if (reach, size) != _FIRST]
     best = max(
-        (_krige(scene, float(rims[top]), reach, size) for reach in _REACHES for size in _SIZES),
+        [*(_krige(scene, float(rims[top]), *pair) for pair in others), tried[top]],
         key=lambda one: one.log_likelihood,
     )
     return best, spread

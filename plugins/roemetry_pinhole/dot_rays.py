@@ -200,8 +200,13 @@ def _around(known: Flags, place: tuple[int, int]) -> tuple[tuple[Integers, Integ
     return (column[near], line[near]), np.asarray(np.linalg.pinv(powers)[0])
 
 
-def view_of(parameters: Mapping[str, Floats], lines: Floats, image_size: tuple[int, int]) -> View:
-    """Give the camera, a plane through the rays of each column, normal towards +X, and the rays' point."""
+def view_of(
+    parameters: Mapping[str, Floats], lines: Floats, image_size: tuple[int, int], *, light: bool = True
+) -> View:
+    """Give the camera, a plane through the rays of each column, normal towards +X, and the rays' point.
+
+    Without `light` the point, which triangulation does not ask for, is left out.
+    """
     camera, pose = camera_of(parameters), belt_pose(parameters["belt_per_mm"])
     if MOTION in parameters:
         motion = parameters[MOTION]
@@ -217,6 +222,8 @@ def view_of(parameters: Mapping[str, Floats], lines: Floats, image_size: tuple[i
     planes = np.column_stack([normal, (normal * middle[:, 0]).sum(axis=1)])
     every = lines.reshape(-1, 4)
     every = every[np.isfinite(every[:, 0])]
+    if not light:
+        return View(image_size, camera_matrix(camera), pose, planes, camera[4:])
     light_mm = nearest_point(at_height(every, 0.0), np.column_stack([every[:, 2:], np.ones(len(every))]))[0]
     return View(image_size, camera_matrix(camera), pose, planes, camera[4:], light_mm)
 
@@ -262,7 +269,7 @@ class PinholeDots(Triangulator[StageOptions]):
             raise StageError(f"{what}: pinhole-dots triangulates dots", hint="calibrate with pinhole-dots")
         check_size(stripes, calibration, "columns of dots")
         lines = rays.moved(calibration.parameters)
-        view = view_of(calibration.parameters, lines, calibration.image_size)
+        view = view_of(calibration.parameters, lines, calibration.image_size, light=False)
         stripe, row = np.nonzero(np.isfinite(stripes.x_px) & (dots.line >= 0))
         at = dots.line[stripe, row]
         xy_px = np.column_stack([stripes.x_px[stripe, row], dots.y_px[stripe, row]])
