@@ -45,9 +45,11 @@ _AROUND = 12
 """Points around one, by which false ones are told: twice the numbers of a quadratic."""
 _SOFT = 1e-3
 """Of one point's weight, with which a quadratic's numbers are held near zero."""
-_OFF_MAX, _OFF_LEAST_MM = 9.0, 4.0
-"""Of the median distance from theirs, that a point may lie off, and what it may at least: flanks rise by more
-from point to point than tops do."""
+_OFF_MAX = 9.0
+"""Of the median distance from theirs, that a point may lie off."""
+_STEEPEST = 2.0
+"""Of the distance to those around, that a point may lie off the median of their heights at least: rims rise
+by the whole of it, false light lies twice and three times as far off."""
 _OFF_SHARE = 0.6
 """Of the distance to those around, that a point may lie off a quadratic at least: at rims good ones lie up to
 5 mm off at a distance of 9 mm, false light 7 to 28 mm."""
@@ -300,8 +302,8 @@ def _beside_neighbours(xyz_mm: Floats) -> Flags:
     kept = np.ones(len(xyz_mm), np.bool_)
     if len(xyz_mm) < 2 * _AROUND:
         return kept
-    off, _, _ = _off_neighbours(xyz_mm)
-    kept = off <= max(_OFF_MAX * float(np.median(off)), _OFF_LEAST_MM)
+    off, _, apart = _off_neighbours(xyz_mm)
+    kept = off <= max(_OFF_MAX * float(np.median(off)), _STEEPEST * float(np.median(apart)))
     while kept.sum() >= 2 * _AROUND:
         some = np.flatnonzero(kept)
         _, off, apart = _off_neighbours(xyz_mm[some])
@@ -335,7 +337,8 @@ def _off_neighbours(xyz_mm: Floats) -> tuple[Floats, Floats, Floats]:
         distance[i] = max(np.sqrt(far).mean(), 1e-6)
         # points of two lines alone leave some of the quadratic open: a little is taken off all of it
         normal, right = _SOFT * np.eye(6), np.zeros(6)
-        for j in which:
+        for n in range(_AROUND):
+            j = int(which[n])
             x, y = (xyz_mm[j, 0] - xyz_mm[i, 0]) / distance[i], (xyz_mm[j, 1] - xyz_mm[i, 1]) / distance[i]
             powers[0], powers[1], powers[2] = 1.0, x, y
             powers[3], powers[4], powers[5] = x * x, x * y, y * y

@@ -47,6 +47,8 @@ _SHARED = 6  # directions in which rays err together beside camera and belt
 _AROUND, _AROUND_MIN = 3, 12
 """Columns and lines around a ray, and least number of known rays there, by which it is filled in where it is
 not known: twice the numbers of a quadratic."""
+_LEVERAGE_MAX = 0.5
+"""Variance of what is filled in over that of one ray."""
 _UP_MM = 30.0  # height at which a slope's error is compared with a place's, mm: half of what is measured
 
 
@@ -197,7 +199,9 @@ def _around(known: Flags, place: tuple[int, int]) -> tuple[tuple[Integers, Integ
         return None
     x, y = across[near].astype(np.float64), down[near].astype(np.float64)
     powers = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
-    return (column[near], line[near]), np.asarray(np.linalg.pinv(powers)[0])
+    weight: Floats = np.asarray(np.linalg.pinv(powers)[0], np.float64)
+    # at a corner they say less of the ray than one seen on a few boards would
+    return ((column[near], line[near]), weight) if weight @ weight < _LEVERAGE_MAX else None
 
 
 def view_of(
