@@ -46,9 +46,9 @@ _GAP_ROWS = 8
 """Longest part of a line that is not seen and behind which it goes on: a crossing takes five to eight."""
 _REACH_ROWS = 4
 """Behind its end, that a line still crosses another: half of what a crossing takes."""
-_THIN_PX, _THIN_SCATTERS, _MOST = 0.3, 3.0, 0.95
-"""Beside its rest line, from which on a line may lie on something thin, and at least times what this share of
-the belt's points stay below."""
+_THIN_PX, _THIN_SCATTERS = 0.3, 10.0
+"""Beside its rest line, from which on a line may lie on something thin, and at least in median distances of
+the belt's points from theirs: seven standard deviations."""
 _ALONE_ROWS = 12
 """Least length of a thin part that does not go on from the product: half a spacing."""
 _END_ROWS = 3
@@ -458,7 +458,7 @@ def _with_thin_parts(stripes: StripeMap, calibration: Calibration) -> StripeMap:
     belt, on = stripes.seen & (stripes.product == 0), stripes.seen & (stripes.product > 0)
     if not belt.any() or not on.any():
         return stripes
-    least_px = max(_THIN_PX, _THIN_SCATTERS * float(np.quantile(np.abs(off[belt]), _MOST)))
+    least_px = max(_THIN_PX, _THIN_SCATTERS * float(np.median(np.abs(off[belt]))))
     thin = belt & (off > least_px)
     run = _runs(np.where(thin | on, stripes.x_px, np.nan))
     count = int(run.max(initial=-1)) + 1

@@ -27,7 +27,7 @@ from pydantic import Field
 from roemetry.records import EDGE, SATURATED, WIDE, Dots, Frame, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.image_levels import clipped_beyond, grey
 
 _NOISES = 8.0
@@ -46,8 +46,8 @@ _APART = 0.6
 """Of the distance to the next dot, that the radius is at most."""
 _ROUNDS = 12
 """Steps of Fisher scoring at most: from a start within a pixel six settle."""
-_SETTLED_PX = 1e-3
-"""What is left after a step is a tenth of it and less: a hundredth of any dot's uncertainty."""
+_SETTLED_PX = 4e-3
+"""What is left after a step is a tenth of it and less: a twentieth of the surest dot's uncertainty."""
 _FIRST_RADIUS_PX = 5
 """Of the pixels that count, before it is known how large dots are."""
 _SIZE_SAMPLE = 72
@@ -340,7 +340,7 @@ def _start(image: Floats, values: Floats, radius: Integers) -> None:
         values[i, 2] = max(image[row, column] - low, 1.0)
 
 
-@kernel
+@float_kernel
 def _fit(
     image: Floats, white: float, values: Floats, radius: Integers, given: Floats, rounds: int
 ) -> tuple[Floats, Floats, Floats, Flags]:

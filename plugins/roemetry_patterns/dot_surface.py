@@ -32,18 +32,27 @@ from roemetry_kernels.lens import sight_lines
 _POINTS_MAX = 150
 """Points that count: the time grows with their cube, and 250 bring a volume no nearer to the truth."""
 _POOLED_ROWS_MAX = 12
-"""Rows of a line of which the mean point counts: on a radius of 100 px it lies 0.06 px under the surface."""
+"""Rows of a line of which one point counts: over so many a line on a radius of 100 px is a parabola."""
+_BEND_POINTS_MIN, _BEND_STD = 5, 1.5
+"""Points on a line that tell its bend, and how much less sure its middle is than the points' mean."""
 _LEAST_STD_MM = 1e-3
 """Of a point, beside its neighbours."""
 _POINTS_MIN = 8
 """Six numbers of the quadratic are fitted."""
 _UNSURE = 6.0
 """Of the median uncertainty, that a point's may be: dots that an edge has cut lie beside the surface."""
-_AROUND = 8
-"""Points around one, by which false ones are told."""
-_OFF_MAX, _OFF_LEAST_MM = 9.0, 4.0
-"""Of the median distance from theirs, that a point may lie off, and what it may at least: flanks rise by more
-from point to point than tops do."""
+_AROUND = 12
+"""Points around one, by which false ones are told: twice the numbers of a quadratic."""
+_SOFT = 1e-3
+"""Of one point's weight, with which a quadratic's numbers are held near zero."""
+_OFF_MAX = 9.0
+"""Of the median distance from theirs, that a point may lie off."""
+_STEEPEST = 2.0
+"""Of the distance to those around, that a point may lie off the median of their heights at least: rims rise
+by the whole of it, false light lies twice and three times as far off."""
+_OFF_SHARE = 0.6
+"""Of the distance to those around, that a point may lie off a quadratic at least: at rims good ones lie up to
+5 mm off at a distance of 9 mm, false light 7 to 28 mm."""
 _SLICES_MIN = 3
 """Lines that show something of the product: a cross hair has two."""
 _RIM_POINTS = 60
@@ -285,37 +294,69 @@ def _larger(scene: _Scene, product: Product, by_px: float) -> _Scene:
 
 
 def _beside_neighbours(xyz_mm: Floats) -> Flags:
-    """Say which points lie near the median height of those around them: false light lies centimetres off."""
+    """Say which points lie near those around them: false light lies centimetres off.
+
+    First near the median of their heights, for several may lie off together; then, the worst one first, near
+    a quadratic through them, which flanks and rims follow to a fraction of the points' distance.
+    """
+    kept = np.ones(len(xyz_mm), np.bool_)
     if len(xyz_mm) < 2 * _AROUND:
-        return np.ones(len(xyz_mm), np.bool_)
-    off = _off_neighbours(xyz_mm)
-    return np.asarray(off <= max(_OFF_MAX * float(np.median(off)), _OFF_LEAST_MM))
+        return kept
+    off, _, apart = _off_neighbours(xyz_mm)
+    kept = off <= max(_OFF_MAX * float(np.median(off)), _STEEPEST * float(np.median(apart)))
+    while kept.sum() >= 2 * _AROUND:
+        some = np.flatnonzero(kept)
+        _, off, apart = _off_neighbours(xyz_mm[some])
+        if off.max() <= max(_OFF_MAX * float(np.median(off)), _OFF_SHARE * float(np.median(apart))):
+            break
+        kept[some[off.argmax()]] = False
+    return kept
 
 
 @kernel
-def _off_neighbours(xyz_mm: Floats) -> Floats:
-    """Give how far each point lies off the median height of the nearest ones, mm."""
-    off = np.empty(xyz_mm.shape[0])
-    far, high = np.empty(_AROUND), np.empty(_AROUND)
-    for i in range(off.size):
+def _off_neighbours(xyz_mm: Floats) -> tuple[Floats, Floats, Floats]:
+    """Give how far each point lies off the median of the nearest ones, and off a quadratic through them, mm.
+
+    And the mean distance of those, mm.
+    """
+    count = xyz_mm.shape[0]
+    off_median, off_quadratic, distance = np.empty(count), np.empty(count), np.empty(count)
+    far, which = np.empty(_AROUND), np.empty(_AROUND, np.int64)
+    powers = np.empty(6)
+    for i in range(count):
         far[:] = np.inf
-        for j in range(off.size):
+        for j in range(count):
             apart = (xyz_mm[i, 0] - xyz_mm[j, 0]) ** 2 + (xyz_mm[i, 1] - xyz_mm[j, 1]) ** 2
             if j == i or apart >= far[-1]:
                 continue
             at = _AROUND - 1
             while at > 0 and far[at - 1] > apart:
-                far[at], high[at] = far[at - 1], high[at - 1]
+                far[at], which[at] = far[at - 1], which[at - 1]
                 at -= 1
-            far[at], high[at] = apart, xyz_mm[j, 2]
-        off[i] = abs(xyz_mm[i, 2] - np.median(high))
-    return off
+            far[at], which[at] = apart, j
+        distance[i] = max(np.sqrt(far).mean(), 1e-6)
+        # points of two lines alone leave some of the quadratic open: a little is taken off all of it
+        normal, right = _SOFT * np.eye(6), np.zeros(6)
+        for n in range(_AROUND):
+            j = int(which[n])
+            x, y = (xyz_mm[j, 0] - xyz_mm[i, 0]) / distance[i], (xyz_mm[j, 1] - xyz_mm[i, 1]) / distance[i]
+            powers[0], powers[1], powers[2] = 1.0, x, y
+            powers[3], powers[4], powers[5] = x * x, x * y, y * y
+            for a in range(6):
+                right[a] += powers[a] * (xyz_mm[j, 2] - xyz_mm[i, 2])
+                for b in range(6):
+                    normal[a, b] += powers[a] * powers[b]
+        off_quadratic[i] = abs(np.linalg.solve(normal, right)[0])
+        off_median[i] = abs(np.median(xyz_mm[which, 2]) - xyz_mm[i, 2])
+    return off_median, off_quadratic, distance
 
 
 def _pooled(xyz_mm: Floats, std_mm: Floats, place: Integers) -> tuple[Floats, Floats]:
-    """Give means of points that follow each other on a line, where there are more points than can count.
+    """Give one point for some that follow each other on a line, where there are more than can count.
 
-    `place` (n, 2) says which slice and which of its points each is. Dots stand too far apart to be pooled.
+    `place` (n, 2) says which slice and which of its points each is. It is the middle of a parabola through
+    them: their mean would lie under a surface that bulges, by a thousandth of a potato's height, and all of
+    them do. Dots stand too far apart to be pooled.
     """
     rows = min(math.ceil(len(xyz_mm) / _POINTS_MAX), _POOLED_ROWS_MAX)
     if rows == 1:
@@ -324,8 +365,18 @@ def _pooled(xyz_mm: Floats, std_mm: Floats, place: Integers) -> tuple[Floats, Fl
     group = np.unique(slice_ * (int(part.max()) + 1) + part, return_inverse=True)[1]
     weight = 1.0 / np.maximum(std_mm, _LEAST_STD_MM) ** 2
     total = np.bincount(group, weight)
-    mean = [np.bincount(group, weight * one) / total for one in xyz_mm.T]
-    return np.column_stack(mean), 1.0 / np.sqrt(total)
+    along = place[:, 1] - (np.bincount(group, weight * place[:, 1]) / total)[group]
+    second, third, fourth = (np.bincount(group, weight * along**n) / total for n in (2, 3, 4))
+    # of a parabola at the middle: its mean less what its bend adds, where there are points enough to tell
+    bend = fourth - second**2 - np.divide(third**2, second, out=np.zeros_like(third), where=second > 0.0)
+    told = (np.bincount(group) >= _BEND_POINTS_MIN) & (bend > 0.0)
+    found = []
+    for one in xyz_mm.T:
+        mean, first, square = (np.bincount(group, weight * one * along**n) / total for n in (0, 1, 2))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            bent = (square - mean * second - first * third / second) / bend
+        found.append(mean - np.where(told, bent * second, 0.0))
+    return np.column_stack(found), np.where(told, _BEND_STD, 1.0) / np.sqrt(total)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -397,7 +448,11 @@ class _Prior:
         return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
 
-def _krige(scene: _Scene, rim_mm: float, reach: float = _REACHES[1], size: float = _SIZES[1]) -> _Kriged:
+_FIRST = _REACHES[1], _SIZES[1]
+"""Reach and size with which rims are looked for."""
+
+
+def _krige(scene: _Scene, rim_mm: float, reach: float = _FIRST[0], size: float = _FIRST[1]) -> _Kriged:
     """Condition the field on points and border."""
     from scipy.linalg import solve_triangular
 
@@ -517,8 +572,9 @@ def _likeliest(scene: _Scene) -> tuple[_Kriged, float]:
     shares = np.array([weight[at] for at in likely])
     mean = float(shares @ volumes / shares.sum())
     spread = math.sqrt(float(shares @ (volumes - mean) ** 2 / shares.sum()))
+    others = [(reach, size) for reach in _REACHES for size in _SIZES if (reach, size) != _FIRST]
     best = max(
-        (_krige(scene, float(rims[top]), reach, size) for reach in _REACHES for size in _SIZES),
+        [*(_krige(scene, float(rims[top]), *pair) for pair in others), tried[top]],
         key=lambda one: one.log_likelihood,
     )
     return best, spread

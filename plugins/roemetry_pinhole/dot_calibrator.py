@@ -174,8 +174,8 @@ def _of_neighbours(missing: int, rays: Rays) -> tuple[str, ...]:
     if not missing:
         return ()
     left = int(np.isnan(rays.lines[..., 0]).sum())
-    said = f"{missing} rays were seen on too few surfaces: {missing - left} are taken from those around them"
-    return (f"{said}, {left} remain unknown" if left else said,)
+    said = f"rays seen on too few surfaces: {missing}, taken from those around them: {missing - left}"
+    return (f"{said}, unknown: {left}" if left else said,)
 
 
 def _places(peaks: Peaks) -> Floats:

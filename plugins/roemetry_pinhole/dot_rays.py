@@ -47,6 +47,8 @@ _SHARED = 6  # directions in which rays err together beside camera and belt
 _AROUND, _AROUND_MIN = 3, 12
 """Columns and lines around a ray, and least number of known rays there, by which it is filled in where it is
 not known: twice the numbers of a quadratic."""
+_LEVERAGE_MAX = 0.5
+"""Variance of what is filled in over that of one ray."""
 _UP_MM = 30.0  # height at which a slope's error is compared with a place's, mm: half of what is measured
 
 
@@ -197,11 +199,18 @@ def _around(known: Flags, place: tuple[int, int]) -> tuple[tuple[Integers, Integ
         return None
     x, y = across[near].astype(np.float64), down[near].astype(np.float64)
     powers = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
-    return (column[near], line[near]), np.asarray(np.linalg.pinv(powers)[0])
+    weight: Floats = np.asarray(np.linalg.pinv(powers)[0], np.float64)
+    # at a corner they say less of the ray than one seen on a few boards would
+    return ((column[near], line[near]), weight) if weight @ weight < _LEVERAGE_MAX else None
 
 
-def view_of(parameters: Mapping[str, Floats], lines: Floats, image_size: tuple[int, int]) -> View:
-    """Give the camera, a plane through the rays of each column, normal towards +X, and the rays' point."""
+def view_of(
+    parameters: Mapping[str, Floats], lines: Floats, image_size: tuple[int, int], *, light: bool = True
+) -> View:
+    """Give the camera, a plane through the rays of each column, normal towards +X, and the rays' point.
+
+    Without `light` the point, which triangulation does not ask for, is left out.
+    """
     camera, pose = camera_of(parameters), belt_pose(parameters["belt_per_mm"])
     if MOTION in parameters:
         motion = parameters[MOTION]
@@ -217,6 +226,8 @@ def view_of(parameters: Mapping[str, Floats], lines: Floats, image_size: tuple[i
     planes = np.column_stack([normal, (normal * middle[:, 0]).sum(axis=1)])
     every = lines.reshape(-1, 4)
     every = every[np.isfinite(every[:, 0])]
+    if not light:
+        return View(image_size, camera_matrix(camera), pose, planes, camera[4:])
     light_mm = nearest_point(at_height(every, 0.0), np.column_stack([every[:, 2:], np.ones(len(every))]))[0]
     return View(image_size, camera_matrix(camera), pose, planes, camera[4:], light_mm)
 
@@ -262,7 +273,7 @@ class PinholeDots(Triangulator[StageOptions]):
             raise StageError(f"{what}: pinhole-dots triangulates dots", hint="calibrate with pinhole-dots")
         check_size(stripes, calibration, "columns of dots")
         lines = rays.moved(calibration.parameters)
-        view = view_of(calibration.parameters, lines, calibration.image_size)
+        view = view_of(calibration.parameters, lines, calibration.image_size, light=False)
         stripe, row = np.nonzero(np.isfinite(stripes.x_px) & (dots.line >= 0))
         at = dots.line[stripe, row]
         xy_px = np.column_stack([stripes.x_px[stripe, row], dots.y_px[stripe, row]])

@@ -11,6 +11,7 @@ from roemetry.errors import ConfigurationError, StageError
 from roemetry.records import Frame, Sensor
 from roemetry.testing.dots import DotRig
 from roemetry_patterns.dot_centres import DotCentres
+from roemetry_patterns.dot_surface import _beside_neighbours
 from roemetry_patterns.epipolar_dots import EpipolarDots
 from roemetry_pinhole.dot_lattice import followed, on_belt
 from roemetry_pinhole.dot_rays import _between_neighbours
@@ -91,7 +92,7 @@ def test_rays_that_were_not_seen_are_taken_from_those_around_them(rng: np.random
     lines = true + std * rng.standard_normal(true.shape)
     own = np.broadcast_to(np.diag(std**2), (12, 10, 4, 4)).copy()
     by_parameter = np.repeat(true[..., None], 2, axis=3)
-    places = [(0, 0), (5, 4), (11, 6)]
+    places = [(0, 5), (5, 4), (11, 6)]
     for place in places:
         lines[place], own[place], by_parameter[place] = np.nan, np.nan, np.nan
     found, covariance, followed = _between_neighbours(lines, own, by_parameter)
@@ -104,3 +105,18 @@ def test_rays_that_were_not_seen_are_taken_from_those_around_them(rng: np.random
     alone = np.full_like(lines, np.nan)
     alone[:3, :3] = lines[:3, :3]
     assert np.isnan(_between_neighbours(alone, own, by_parameter)[0][8, 8]).all()
+
+
+def test_false_light_is_told_by_those_around_it(rng: np.random.Generator) -> None:
+    x, y = (one.ravel() for one in np.mgrid[-15.0:16.0:5.0, -15.0:16.0:5.0])
+    place = np.column_stack([x, y]) + rng.uniform(-0.5, 0.5, (x.size, 2))
+    height = np.sqrt(np.maximum(24.0**2 - (place**2).sum(axis=1), 0.0))
+    sound = np.column_stack([place, height])
+    assert _beside_neighbours(sound).all()
+    false = sound.copy()
+    false[24, 2] += 7.0  # in the middle
+    false[[2, 3], 2] -= 25.0  # two together at the rim
+    assert np.array_equal(np.flatnonzero(~_beside_neighbours(false)), [2, 3, 24])
+    # points of two lines leave the quadratic open: nothing is left out for that
+    lines = sound[(np.abs(x) < 6.0) & (x != 0.0)]
+    assert _beside_neighbours(lines).all()

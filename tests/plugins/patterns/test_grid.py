@@ -17,7 +17,7 @@ from roemetry.errors import StageError
 from roemetry.records import AMBIGUOUS, Sensor
 from roemetry.records.calibration import Calibration
 from roemetry.testing.scenes import GridRig, frame_of
-from roemetry_coding.grid import GridPlanes, _asked_again, _Families, _followed
+from roemetry_coding.grid import GridPlanes, _asked_again, _Families, _followed, _with_thin_parts
 from roemetry_patterns.dot_surface import _pooled
 from roemetry_peaks.grid_lines import GridLines
 from roemetry_pinhole.grid import ACROSS, _turning, turned_parameters
@@ -217,3 +217,31 @@ def test_points_of_a_line_are_pooled_and_dots_are_not(rng: np.random.Generator) 
     assert np.allclose(mean[:, 2], line[:, 2].reshape(150, 4).mean(axis=1))
     apart, _ = _pooled(line, np.full(600, 0.05), place * np.array([1, 16]))
     assert len(apart) == 600
+
+
+def test_a_pooled_point_lies_on_a_surface_that_bulges() -> None:
+    row = np.arange(1800)
+    along = 0.3 * (row % 60) - 9.0  # mm
+    line = np.column_stack([0.1 * along, along, 20.0 - along**2 / 50.0])
+    std = np.full(1800, 0.05)
+    place = np.column_stack([row // 60, row % 60])
+    found, stated = _pooled(line, std, place)
+    assert len(found) == 150
+    assert np.abs(found[:, 2] - 20.0 + found[:, 1] ** 2 / 50.0).max() < 1e-9  # mm; means lie 0.02 mm below
+    assert np.allclose(stated, 1.5 * 0.05 / np.sqrt(12.0))
+    # where single points are of different weight, too
+    found, _ = _pooled(line, std * (1.0 + row % 7), place)
+    assert np.abs(found[:, 2] - 20.0 + found[:, 1] ** 2 / 50.0).max() < 1e-6
+
+
+def test_thin_parts_of_a_product_are_not_belt() -> None:
+    rig = GridRig()
+    heights, calibration = rig.hill(), rig.grid_calibration()
+    true = rig.grid_map(heights)
+    low = (true.product > 0) & (np.abs(true.x_px - true.rest_px) < 1.0)
+    called = replace(true, product=np.where(low, 0, true.product).astype(np.int16))
+    found = _with_thin_parts(called, calibration)
+    off_px = true.x_px - true.rest_px
+    assert (found.product[np.abs(off_px) > 0.35] == 1).all()
+    assert (found.product[np.abs(off_px) < 0.25] == called.product[np.abs(off_px) < 0.25]).all()
+    assert low[[1, 5]].sum() > 300  # of two stripes nothing was called a product
