@@ -30,12 +30,12 @@ from benchmarks.volume_scenes import calibration_of
 from roemetry import Recipe
 from roemetry.config.scene import Scene
 from roemetry.errors import StageError
-from roemetry.records import Acquisition, Simulated, Trace
+from roemetry.records import Acquisition, Simulated, StripeTruth, Trace
 from roemetry.records.calibration import Calibration
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.preprocess import prepare
 from roemetry_coding.planes import Planes
-from roemetry_coding.two_families import TwoFamilies
+from roemetry_coding.two_families import TwoFamilies, part_of
 from roemetry_peaks.gaussian import Gaussian
 from roemetry_peaks.two_channels import TwoChannels
 from roemetry_simulate.ray_caster import RayCaster
@@ -46,7 +46,7 @@ _ONE_COLOUR = "pattern={kind: lines, lines_x: 20, spacing_x_mm: 6.5}"
 _WAYS = ("two colours", "one colour")
 _DENSER = ((20, 6.5), (30, 4.3), (40, 3.25), (50, 2.6))
 """Lines over the same 130 mm; the 40 mm of a potato move a line by as much as 7 mm on the belt."""
-_POTATOES = 2
+_POTATOES = 5
 PICTURE = Path("docs/images/two-colours.svg")
 
 
@@ -74,7 +74,7 @@ def measured(seed: int, count: int, folder: Path) -> dict[str, str]:
             found, counts = Volumes(pipeline, f"{family}, {way}"), np.zeros(4, np.int64)
             for number in range(count):
                 item = item_of(way, family, seed, number, folder)
-                counts += judged_lines(found.trace(item, f"item_{number}"), item.truth.stripes)
+                counts += _judged(found.trace(item, f"item_{number}"), item.truth.stripes)
             right, wrong, missed, stray = counts.tolist()
             total = max(right + wrong + missed, 1)
             shares = ["refused", "–", "–", "–"]
@@ -129,7 +129,28 @@ def _coded(item: Simulated, calibration: Calibration, *, two: bool) -> NDArray[n
     extractor, coder = (TwoChannels(), TwoFamilies()) if two else (Gaussian(), Planes())
     peaks = extractor.extract(frame)
     trace = Trace("item", peaks=peaks, stripes=coder.code(peaks, calibration))
-    return np.asarray(judged_lines(trace, item.truth.stripes), np.int64)
+    return _judged(trace, item.truth.stripes)
+
+
+def _judged(trace: Trace, truth: StripeTruth | None) -> NDArray[np.int64]:
+    """Count as `judged_lines` does, each colour's peaks among the lines of that colour."""
+    peaks, stripes = trace.peaks, trace.stripes
+    if peaks is None or stripes is None or truth is None or peaks.family is None:
+        return np.asarray(judged_lines(trace, truth), np.int64)
+    counts, turn = np.zeros(4, np.int64), np.arange(stripes.stripe_count)[:, None] % 2
+    for family in (0, 1):
+        mine = np.flatnonzero(peaks.family == family)
+        part = replace(stripes, peak_stripe=stripes.peak_stripe[mine])
+        own = turn == family
+        lines = replace(
+            truth,
+            x_px=np.where(own, truth.x_px, np.nan),
+            on_product=truth.on_product & own,
+            xyz_mm=np.where(own[..., None], truth.xyz_mm, np.nan),
+            product=np.where(own, truth.product, -1).astype(truth.product.dtype),
+        )
+        counts += judged_lines(Trace("item", peaks=part_of(peaks, mine), stripes=part), lines)
+    return counts
 
 
 def _pipeline(*, two: bool) -> Pipeline:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 Channel = Literal["grey", "red", "green", "blue", "max"]
 Colour = Literal["red", "green", "blue"]
@@ -71,6 +71,21 @@ class SourceChoice(Section):
         description="the camera's noise, for extractors that weigh by it; none: what the source knows of it",
     )
     options: dict[str, Any] = Field(default_factory=dict, description="the source's own options")
+
+    @model_validator(mode="after")
+    def _is_one_way_to_colours(self) -> SourceChoice:
+        check_channels(self.channel, self.second_channel, self.contrast)
+        return self
+
+
+def check_channels(channel: str, second: str | None, contrast: str) -> None:
+    """Refuse by a ValueError a second channel beside what is not another colour's."""
+    if second is None:
+        return
+    if contrast != "none":
+        raise ValueError("contrast is for light of one colour: leave it or second_channel out")
+    if channel in ("grey", "max", second):
+        raise ValueError(f"second_channel is {second}: channel must be another colour, not {channel}")
 
 
 DEFAULT_ALIGNERS = {

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal, TypeVar
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from roemetry.config.overrides import Overridden
 from roemetry.config.pattern_file import PatternFile, read_pattern
@@ -22,6 +22,7 @@ from roemetry.config.recipe_file import (
     SensorFile,
     StageChoice,
     Turn,
+    check_channels,
 )
 from roemetry.config.resolve import ResolvedStage, StageResolver
 from roemetry.config.target_file import (
@@ -181,6 +182,11 @@ class RigFile(Section):
         description="what finds the stripes' peaks",
     )
     calibrator: Choice = Field(default_factory=lambda: StageChoice(use="block-linear"))
+
+    @model_validator(mode="after")
+    def _is_one_way_to_colours(self) -> RigFile:
+        check_channels(self.channel, self.second_channel, self.contrast)
+        return self
 
 
 @dataclass(frozen=True, repr=False)

@@ -313,7 +313,8 @@ SUFFIXES = (".yaml", ".yml", ".json", ".xml")
 def write_camera(path: Path, view: View) -> None:
     """Write a view's camera as OpenCV's `FileStorage` does: camera_matrix, distortion_coefficients, size.
 
-    Planes of light are `laser_planes`, rows A, B, C, D of Ax + By + Cz + D = 0 in the camera's frame, mm;
+    Planes of light are `laser_planes`, rows A, B, C, D of Ax + By + Cz + D = 0 in the camera's frame, mm, but
+    those of circles, which are cones, are left out;
     `T_belt_camera` takes places from the camera's frame to the belt's. CalibrationError where the view is no
     camera that was calibrated, DataError where the file cannot be written.
     """
@@ -338,5 +339,6 @@ def write_camera(path: Path, view: View) -> None:
     storage.write("T_belt_camera", np.array(view.T_belt_camera))
     pose, planes = np.array(view.T_belt_camera), np.array(view.planes)
     rows = np.column_stack([planes[:, :3] @ pose[:3, :3], planes[:, :3] @ pose[:3, 3] - planes[:, 3]])
-    storage.write("laser_planes", rows)
+    if not len(view.cones):  # planes that touch cones are not where the light is
+        storage.write("laser_planes", rows)
     storage.release()

@@ -15,6 +15,7 @@ from roemetry.errors import ConfigurationError, StageError
 from roemetry.records import Frame, Sensor
 from roemetry.records.calibration import Calibration
 from roemetry.records.cones import meet_cones
+from roemetry.records.view import write_camera
 from roemetry.testing.circles import CircleRig, level
 from roemetry_coding.circles import CircleOrder
 from roemetry_peaks.circle_curves import CircleCurves
@@ -91,3 +92,12 @@ def test_the_shipped_potatoes_are_measured_in_their_intervals() -> None:
         found = product.volume.visible_mm3
         assert abs(found.value / 1e3 - true_cm3) < 0.006 * true_cm3
         assert found.interval[0] < 1e3 * true_cm3 < found.interval[1]
+
+
+def test_a_file_for_other_programs_holds_no_planes_of_circles(tmp_path: Path) -> None:
+    view = Calibration.load(CIRCLES / "calibration.yaml").view
+    assert view is not None
+    write_camera(tmp_path / "camera.yaml", view)
+    text = (tmp_path / "camera.yaml").read_text()
+    assert "camera_matrix" in text
+    assert "laser_planes" not in text

@@ -71,6 +71,10 @@ def test_two_colours_are_for_lines_and_for_colour_images() -> None:
     assert Scene.load(COLOURS / "simulated.yaml").simulator.options.laser.colours == 2
     with pytest.raises(ConfigurationError, match="two colours are for lines"):
         Rig.load(COLOURS / "rig.yaml", sets=["pattern={kind: circles, lines_x: 9, colours: 2}"])
+    with pytest.raises(ConfigurationError, match="contrast is for light of one colour"):
+        Recipe.load(COLOURS, sets=["source.contrast=red"])
+    with pytest.raises(ConfigurationError, match="channel must be another colour, not grey"):
+        Rig.load(COLOURS / "rig.yaml", sets=["channel=grey"])
     grey = Acquisition("a", (Frame(np.zeros((20, 30), np.uint8)),))
     with pytest.raises(DataError, match="has no colours, of which `second_channel` is one"):
         prepare(grey, channel="red", second_channel="green", turn_deg=0, subtract="none")
@@ -84,3 +88,14 @@ def test_the_shipped_potatoes_are_measured_in_their_intervals() -> None:
         found = product.volume.visible_mm3
         assert abs(found.value / 1e3 - true_cm3) < 0.004 * true_cm3
         assert found.interval[0] < 1e3 * true_cm3 < found.interval[1]
+
+
+def test_a_body_that_both_colours_take_for_a_line_off_is_doubted_by_all_lines_together() -> None:
+    peaks = TwoChannels().extract(_colours(4.0))
+    x_px = RIG.x_px(RIG.dome(4.0))[:, peaks.row]
+    true = np.abs(x_px - peaks.x_px).argmin(axis=0)
+    on_body = RIG.dome(4.0)[true, peaks.row] > 1.0
+    wrong = np.where(on_body & (true < RIG.stripes - 2), true + 2, true)
+    doubted = TwoFamilies()._doubted(peaks, wrong, RIG.calibration())
+    assert doubted[wrong != true].all()
+    assert not TwoFamilies()._doubted(peaks, true, RIG.calibration()).any()
