@@ -14,8 +14,8 @@ is because camera or laser have moved; `encoder quantum` half a count's way, uni
 lines; `between slices` by what every other slice would give; `flanks` a part of what is not seen of them;
 `rim` by how much the rim's height changes with the points that tell it;
 `not seen beside` what may lie between a slice's ends and what is seen next to them; `length of the line` V
-times twice its change since calibration; `damaged lines` three lines for each that was left out; `gaps` a tenth
-of what straight lines fill.
+times twice its change since calibration; `damaged lines` three lines for each that was left out; `gaps` a
+tenth of what straight lines fill.
 """
 
 from __future__ import annotations
