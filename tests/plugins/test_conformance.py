@@ -33,6 +33,13 @@ SMALL = {"width_px": 96, "height_px": 64, "pixel_size_um": 66.0}
 EGG = {"family": "egg"}
 OPTIONS = {
     "mitsuba": {"camera": SMALL, "samples": 2, "bounce_rays": 8},
+    "mitsuba-belt": {
+        "camera": SMALL,
+        "bounce_rays": 4,
+        "laser": {"planes": 1},
+        "product": {"family": "ball"},
+        "scan": {"counts_per_line": 500},
+    },
     "moving-belt": {"camera": SMALL, "scan": {"counts_per_line": 250}, "product": EGG},
     "ray-caster": {"camera": SMALL, "product": EGG},
 }
