@@ -49,7 +49,9 @@ def beside_mm3(profiles: Profiles) -> Floats:
 
 def _beside_mm2(xyz_mm: Floats, mine: Flags, known: Flags, seen: Flags) -> Floats:
     """Give (slice,) the area that may lie between a product's ends and what is known beside them."""
-    step_mm = float(np.nanmedian(np.abs(np.diff(xyz_mm[..., 1], axis=1))))
+    steps_mm = np.abs(np.diff(xyz_mm[..., 1], axis=1))
+    steps_mm = steps_mm[np.isfinite(steps_mm)]
+    step_mm = float(np.median(steps_mm)) if steps_mm.size else 0.0
     some = mine.any(axis=1)
     every, points = np.arange(len(mine)), mine.shape[1]
     y_mm, z_mm = xyz_mm[..., 1], xyz_mm[..., 2]
