@@ -13,8 +13,8 @@ shifted (belt or camera moved between the images) is left out. Where no shift ex
 in the plain image goes on far beyond all stripes, one of the images lies (rows of the laser image are lost,
 the plain image is another product's or of another scale), nobody knows which, and the product is refused.
 
-Of a grid both families' lines have ends. Dots leave some pixels free on both sides of an outline
-(`DotBrackets`).
+Of a grid both families' lines have ends. Circles have few, so that all of their points are asked. Dots leave
+some pixels free on both sides of an outline (`DotBrackets`).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.image_levels import quantile_of
 from roemetry_volume.edge_search import Scene, unbound
-from roemetry_volume.footprint import inside_by
+from roemetry_volume.footprint import area_of, inside_by
 
 LEAST_ROWS = 5
 """Shorter pieces beside the product are glare in its shadow as often as not; on it they are not needed."""
@@ -43,6 +43,8 @@ _STRAY_PX, _FARTHEST_PX = 5.0, 2.5
 more than half of that."""
 _RIM_ROWS = 6
 """Between a circle's end on a product and the belt, where the rim lies between: what a rim blurs."""
+_STRIP_SHARE = 0.02
+"""Of a product's points on circles, the outermost: more than mistaken labels, and all of them at the rim."""
 _CUT = 9.0
 """Of the usual variance: the centre of a dot that a rim has cut, uncertain by as much, tells no side."""
 _BY_CHANCE = 2.6
@@ -68,7 +70,7 @@ class Brackets(Protocol):
 
 def brackets_of(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> Brackets | None:
     """Find what brackets a product's outline (point, 2) px; None of too little."""
-    found = _ends_of if stripes.dots is None else _dots_of
+    found = _dots_of if stripes.dots is not None else _curves_of if stripes.circles else _ends_of
     return found(scene, ring, stripes, number)
 
 
@@ -169,6 +171,54 @@ def _dots_of(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> Dot
     if min(len(on), len(beside)) < _LEAST_ENDS:
         return None
     return DotBrackets(ring, unbound(scene, ring), on, beside, scene.spacing_px)
+
+
+class _CurveBrackets(NamedTuple):
+    """A product's outline in plain light, and (point, 2) px of circles on the product and on the belt.
+
+    Few circles end at the rim, so that all of their points are asked. `ends` is what ends do say, if enough.
+    """
+
+    free: Floats
+    on: Floats
+    beside: Floats
+    ends: _EndBrackets | None
+
+    def disagreement_px(self) -> tuple[float, float]:
+        """Say how far the outline is from what points and ends allow, and how much nothing else explains."""
+        against = max(self._against_px(np.zeros(2)) - _END_PX, 0.0)
+        apart, of_ends = (0.0, 0.0) if self.ends is None else self.ends.disagreement_px()
+        return max(against, apart), max(against, of_ends)
+
+    def contradiction_left_px(self) -> float:
+        """Say how far points, and nine in ten ends, contradict the best shifted edge at most."""
+        left_px = _best_shifted(self._against_px)
+        return left_px if self.ends is None else max(left_px, self.ends.contradiction_left_px())
+
+    def _against_px(self, shift_px: Floats) -> float:
+        """Give how far an edge is from points that lie on its wrong side.
+
+        So many points as the share lie in a strip within a sound edge: how wide that is, area and length of
+        the outline say.
+        """
+        outside = -inside_by(self.free, self.on - shift_px)
+        inside = inside_by(self.free, self.beside - shift_px)
+        last = int(_STRIP_SHARE * len(self.on)) + 1
+        found = max(float(np.partition(side, -last)[-last]) for side in (outside, inside))
+        around_px = float(np.hypot(*(np.roll(self.free, -1, axis=0) - self.free).T).sum())
+        return found + _STRIP_SHARE * abs(area_of(self.free)) / around_px
+
+
+def _curves_of(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> _CurveBrackets | None:
+    """Find a product's points of circles, and the belt's; None of too few."""
+    row = np.broadcast_to(np.arange(stripes.rows, dtype=np.float64), stripes.x_px.shape)
+    on, beside = (
+        np.column_stack([stripes.x_px[place], row[place]])
+        for place in (stripes.seen & (stripes.product == of) for of in (number, 0))
+    )
+    if min(len(on), _STRIP_SHARE * len(beside)) < _LEAST_ENDS:
+        return None
+    return _CurveBrackets(unbound(scene, ring), on, beside, _ends_of(scene, ring, stripes, number))
 
 
 def _best_shifted(left_px: Callable[[Floats], float]) -> float:

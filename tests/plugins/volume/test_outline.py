@@ -197,8 +197,32 @@ def grid_on(spacing: float = 30.0) -> StripeMap:
     return replace(stripes_on(), across=across)
 
 
-@pytest.mark.parametrize("light", [dots_on, grid_on])
-def test_dots_and_grids_agree_with_an_outline_of_theirs_and_refuse_another_products(
+def circles_on(spacing: float = 22.0) -> StripeMap:
+    """Left and right halves of circles that show where the ellipse is."""
+    radius = np.concatenate([-spacing * np.arange(9.0, 0.0, -1.0), spacing * np.arange(1.0, 10.0)])[:, None]
+    row = np.arange(float(ROWS))
+    inside = radius**2 - (row - 0.45 * ROWS) ** 2
+    seen = inside > (0.2 * radius) ** 2  # at top and bottom lines run along the rows
+    x_px = 170.0 + np.sign(radius) * np.sqrt(np.where(seen, inside, np.nan))
+    off = distance(np.stack([x_px, np.broadcast_to(row, x_px.shape)], axis=-1))
+    with np.errstate(invalid="ignore"):
+        seen &= (np.abs(off) > 0.3) & (x_px > 5.0) & (x_px < COLUMNS - 6.0)
+    x_px = np.where(seen, x_px, np.nan)
+    return StripeMap(
+        x_px=x_px,
+        x_std_px=np.where(seen, 0.1, np.nan),
+        product=np.where(seen, off < 0.0, -1).astype(np.int16),
+        seen=seen,
+        margin=np.where(seen, 1.0, np.nan),
+        ambiguous=np.zeros(seen.shape, np.bool_),
+        rest_px=x_px,
+        peak_stripe=np.zeros(0, np.int16),
+        circles=True,
+    )
+
+
+@pytest.mark.parametrize("light", [dots_on, grid_on, circles_on])
+def test_dots_grids_and_circles_agree_with_an_outline_of_theirs_and_refuse_another_products(
     rng: np.random.Generator, light: Callable[[], StripeMap]
 ) -> None:
     (found,) = EdgeContour().outline(LASER, plain_image(rng), light(), None)
