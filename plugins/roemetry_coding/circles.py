@@ -7,7 +7,8 @@ of some rows, at kinks sooner; each piece may be any half whose heights there ar
 - across: of two pieces that follow each other in a row, the right one has the higher number; the surface
   rises between them by no more than a steep slope, or is broken; and a circle that reaches the row and is
   not seen between them costs, for something must hide it;
-- alone: a piece on the belt costs less than one above it, and a piece that is no circle's light costs most.
+- alone: a piece on the belt costs less than one above it, which seldom lies on another circle of the belt;
+  and a piece that is no circle's light costs most.
 
 The cheapest labels are found by passing costs to and fro between neighbours (min-sum; Kschischang, Frey,
 Loeliger 2001). A piece is labelled where the next best label costs more by what makes it improbable; else its
@@ -49,6 +50,9 @@ _BELT_MM = 1.0
 """Height up to which a piece lies on the belt: three times what a rig that has moved a little makes."""
 _ABOVE_COST = 1.0
 """Of a piece above the belt: as much as a slope that is a half steeper than usual."""
+_BY_CHANCE = 3.0
+"""More, of a piece above the belt that lies on a circle of the belt as well: one of fifteen to twenty does by
+chance, with circles 25 to 40 mm of height apart."""
 _NOTHING = 20.0
 """Of a piece that is no circle's light: two broken surfaces, and nearly one wrong order."""
 _NOTHING_BESIDE = 3.0
@@ -200,7 +204,8 @@ def _problem(peaks: Peaks, pieces: _Pieces, calibration: Calibration, view: View
     stripe[:, most] = -1
     heights = np.where((stripe >= 0)[..., None], z[np.arange(count)[:, None], np.maximum(stripe, 0)], 0.0)
     on_belt = (np.abs(heights) < _BELT_MM).all(axis=2)
-    alone = np.where(stripe == -2, np.inf, np.where(on_belt, 0.0, _ABOVE_COST))
+    above = np.where(on_belt.any(axis=1), _ABOVE_COST + _BY_CHANCE, _ABOVE_COST)[:, None]
+    alone = np.where(stripe == -2, np.inf, np.where(on_belt, 0.0, above))
     alone[:, most] = _NOTHING
     along = np.flatnonzero(pieces.before >= 0)
     change = np.where(pieces.at_kink[along], _CHANGE_AT_KINK, _CHANGE)
