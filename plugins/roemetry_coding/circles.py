@@ -204,7 +204,7 @@ def _problem(peaks: Peaks, pieces: _Pieces, calibration: Calibration, view: View
     stripe[:, most] = -1
     heights = np.where((stripe >= 0)[..., None], z[np.arange(count)[:, None], np.maximum(stripe, 0)], 0.0)
     on_belt = (np.abs(heights) < _BELT_MM).all(axis=2)
-    above = np.where(on_belt.any(axis=1), _ABOVE_COST + _BY_CHANCE, _ABOVE_COST)[:, None]
+    above = np.where(np.any(on_belt, axis=1), _ABOVE_COST + _BY_CHANCE, _ABOVE_COST)[:, None]
     alone = np.where(stripe == -2, np.inf, np.where(on_belt, 0.0, above))
     alone[:, most] = _NOTHING
     along = np.flatnonzero(pieces.before >= 0)
