@@ -51,8 +51,8 @@ _BELT_MM = 1.0
 _ABOVE_COST = 1.0
 """Of a piece above the belt: as much as a slope that is a half steeper than usual."""
 _BY_CHANCE = 3.0
-"""More, of a piece above the belt that lies on a circle of the belt as well: one of fifteen to twenty does by
-chance, with circles 25 to 40 mm of height apart."""
+"""More, of a piece above the belt that lies on a circle of the belt as well, within `_BELT_MM` either way. Of
+heights 36 mm apart (circles 8 mm apart, a projector 105 mm aside and 470 mm up) one in eighteen does."""
 _NOTHING = 20.0
 """Of a piece that is no circle's light: two broken surfaces, and nearly one wrong order."""
 _NOTHING_BESIDE = 3.0

@@ -58,6 +58,7 @@ def _part(observed: CalibrationSet, family: int) -> CalibrationSet:
     """Give the images with the peaks of one family."""
 
     def mine(one: Observation) -> Observation:
+        """Give an observation with the peaks of the family alone."""
         peaks = one.peaks
         if not len(peaks):
             return one

@@ -62,8 +62,8 @@ quarter of the steps that are expected there. Of joins with just enough of them 
 _STEP_SHARE, _STEP_MIN = 0.25, 0.05
 """Least step, of the stripes' grey level (the 99th percentile) and of white: most noise is below."""
 _NOISE_QUANTILE, _TIMES_NOISE = 0.75, 3
-"""So many times the step that a quarter of all neighbours exceeds: of pure noise one step in 170 is larger,
-where a join is told by one in 32; in stripes and texture three of four pixels lie on none."""
+"""So many times the step that a quarter of all neighbours exceeds: of Gaussian noise one step in 1,800 is
+larger, where a join is told by one in 32; in stripes and texture three of four pixels lie on none."""
 
 
 _RUN = 4
