@@ -182,7 +182,7 @@ def budget_of(found: Sections, profiles: Profiles, number: int) -> dict[str, flo
         rise = np.diff(area, prepend=0.0, append=0.0)
         per_slice = found.width_mm * found.held_mm
         budget["motion"] = abs(value) * scan.pitch_rel_std
-        budget["damaged lines"] = abs(value) * _FAULTS_UNSEEN * (scan.torn + scan.unreadable) / scan.lines
+        budget["damaged lines"] = abs(value) * _FAULTS_UNSEEN * scan.damaged / scan.lines
         budget["belt off its zero"] = abs(value) * scan.belt_off_rel_std
         if math.isfinite(scan.line_length_rel_std):
             budget["length of the line"] = abs(value) * scan.line_length_rel_std

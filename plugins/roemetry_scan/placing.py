@@ -127,10 +127,12 @@ class BeltMotion(Assembler[BeltOptions]):
         across = float(motion.mm_per_count @ normal)
         pitch = abs(across) * step_counts
         relative = math.sqrt(float(normal @ motion.covariance @ normal)) / abs(across)
+        unreadable = int(np.count_nonzero(found.used & ~seen))
         figures = ScanFigures(
             lines=len(lines.count), placed=line.size, lost=found.lost, repeated=found.repeated,
             reversed=found.reversed, wraps=found.wraps,
-            unreadable=int(np.count_nonzero(found.used & ~seen)), torn=int(np.count_nonzero(~whole)),
+            unreadable=unreadable,
+            damaged=int(np.count_nonzero(~whole)) + (unreadable if self.options.belt == "fit" else 0),
             pitch_mm=pitch, pitch_rel_std=relative,
             quantum_mm=float(np.sqrt(motion.mm_per_count @ motion.mm_per_count)),
             first_count=found.first, mm_per_count=_three(motion.mm_per_count),

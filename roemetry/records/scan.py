@@ -76,8 +76,9 @@ class ScanFigures:
     """lines, placed, …: how many frames there are; how many became slices; places between them at which no
     line was taken; lines taken while the belt stood; while it ran backwards, until it had made up for that;
     overflows of the counter; frames in which no line could be followed."""
-    torn: int = 0
-    """Lines that were left out, for a part of them belongs to another frame."""
+    damaged: int = 0
+    """Lines that were left out, for a part of them belongs to another frame, and, of a head that sees the
+    belt, those in which no line could be followed."""
     pitch_mm: float = math.nan
     """Distance of neighbouring slices, perpendicular to the plane of light, mm."""
     pitch_rel_std: float = 0.0

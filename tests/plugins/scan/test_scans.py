@@ -193,11 +193,11 @@ def test_a_line_that_lost_rows_ends_elsewhere_than_its_neighbours(seen: Scan, lo
     stripes, lines = seen
     found = ending(stripes, 10.0, 150.0)
     whole = placed(found, lines)
-    assert whole.scan is not None and whole.scan.torn == 0
+    assert whole.scan is not None and whole.scan.damaged == 0
     x_px, torn = found.x_px.copy(), 20
     x_px[torn, 80:-lost_rows] = found.x_px[torn, 80 + lost_rows :]
     profiles = placed(showing(found, x_px), lines)
-    assert profiles.scan is not None and profiles.scan.torn == 1
+    assert profiles.scan is not None and profiles.scan.damaged == 1
     assert torn not in profiles.frame
     (product,) = split_products(profiles, (), RIG, "scan")
     estimate = DenseSlices().estimate(product).visible_mm3
