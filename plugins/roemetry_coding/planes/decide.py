@@ -33,6 +33,7 @@ from roemetry_coding.planes.solve import Problem, Solved
 from roemetry_coding.planes.vetoes import (
     body_of,
     claimed,
+    denies_belt,
     ends_settled,
     going_on,
     left_over,
@@ -151,6 +152,9 @@ def decided(
     pieces, stripes = problem.pieces, problem.there.size
     verdicts = _renumbered(verdicts, peaks, rest, calibration.displacement_px_per_mm)
     stripe = verdicts.stripe.copy()
+    denies = denies_belt(
+        problem.entries, pieces.line, verdicts.stripe, body_of(peaks.row, verdicts.stripe, rest)
+    )
     margin = margin_of(verdicts.dearer, verdicts.evidence)
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     above = verdicts.height_mm > calibration.height_range_mm[1] + slack_mm[np.maximum(stripe, 0)]
@@ -161,6 +165,7 @@ def decided(
     if np.count_nonzero(above) <= _ABOVE_SHARE_MIN * np.count_nonzero((stripe >= 0) & (stripe != rest.line)):
         stripe[above] = AMBIGUOUS
     stripe[(stripe >= 0) & ~(verdicts.sure & (margin >= margin_min))] = AMBIGUOUS
+    stripe[denies] = AMBIGUOUS
     stripe[out_of_order(problem.entries, peaks.row, rest.line, stripe, stripes)] = AMBIGUOUS
     wrong = out_of_order(problem.entries, peaks.row, rest.line, verdicts.claims, stripes)
     often = np.bincount(pieces.of[wrong], minlength=pieces.rest.size) >= _CONTESTED_PEAKS

@@ -17,6 +17,9 @@ reason that it does not contain. Each veto names one such reason and marks the p
   nearly on its rest line without reaching the image's border.
 - `fits_another_stripe`: a body that would be three times more even, were all of it some stripes on: a fan's
   uneven spacing is a pattern that right labels take out and wrong ones put in.
+- `denies_belt`: light on a stripe's rest line was left out because a body has that stripe on the same sight
+  line. Both cannot be: a ray of light ends where it first meets something. False peaks seldom lie on a rest
+  line, and not on many sight lines; a body one stripe off leaves out all of a belt.
 - `left_over`: what a body is on some rows it is on the others; of a piece mostly refused none is kept.
 
 What each is worth, on which images: docs/measurements/coding-ablation.md. Vetoes refuse, they never change a
@@ -51,6 +54,9 @@ _LEVEL_ROWS = 40
 """A level body goes on for so many rows; fewer are as many as a break along a stripe may have."""
 _FLICKER_ROWS = 3
 """So many rows of it may be missing."""
+_DENIED_LINES_MIN = 8
+"""Sight lines on which a body may not deny belt. On sound frames of two rendered rigs and three recipes it is
+four at most; bodies that faint light put one stripe off had 13 to 128."""
 _CLAIM_PEAKS = 4
 """A piece with so many peaks of one stripe claims it."""
 
@@ -179,6 +185,42 @@ def out_of_order(entries: Entries, row: Integers, on_line: Integers, stripe: Int
                 continue
         holder[s] = p
     return wrong
+
+
+def denies_belt(entries: Entries, line: Integers, stripe: Integers, body: Integers) -> Flags:
+    """Mark (peak,) peaks of bodies that have a stripe where its belt was seen and left out.
+
+    Parameters
+    ----------
+    entries
+        On the lines.
+    line, stripe
+        (peak,) rest line it lies on, −1 for none; stripe, below 0 for none.
+    body
+        (peak,) body, 0 for none; see `body_of`.
+    """
+    denied: Integers = _denied_lines(entries, line, stripe, body)
+    return np.asarray((body > 0) & (denied[body] >= _DENIED_LINES_MIN))
+
+
+@kernel
+def _denied_lines(entries: Entries, line: Integers, stripe: Integers, body: Integers) -> Integers:
+    """Count by body the sight lines on which it has a stripe of which belt was left out."""
+    start, peak = entries.start, entries.peak
+    highest = body.max() if body.size else 0
+    denied = np.zeros(highest + 1, np.int64)
+    last = np.full(highest + 1, -1, np.int64)
+    for e in range(start.size - 1):
+        for i in range(start[e], start[e + 1]):
+            p = peak[i]
+            if line[p] < 0 or stripe[p] >= 0:
+                continue
+            for j in range(start[e], start[e + 1]):
+                b = body[peak[j]]
+                if b > 0 and stripe[peak[j]] == line[p] and last[b] < e:
+                    denied[b] += 1
+                    last[b] = e
+    return denied
 
 
 def may_be_level(
