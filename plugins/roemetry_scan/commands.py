@@ -42,7 +42,7 @@ def register_heads(
     from roemetry.errors import CalibrationError
     from roemetry.io.files import write_whole
     from roemetry.io.yaml_source import dump
-    from roemetry_scan.closed import ball_centres, first_counts, registered
+    from roemetry_scan.closed import ball_centres, first_counts, refuse_other_pitch, registered
     from roemetry_scan.side_by_side import looked_at, registered_beside
 
     described = read_sphere_plate(plate.name, plate.parent)
@@ -55,6 +55,8 @@ def register_heads(
             raise CalibrationError(f"{recipe}: the plate was not measured: {why}")
         plates.append(trace.profiles)
     centres = [ball_centres(one, described) for one in plates]
+    for recipe, balls in zip((top, bottom), centres, strict=True):
+        refuse_other_pitch(balls, described, str(recipe))
     if beside:
         looked = (
             looked_at(plates[0], described.diameter_mm / 2),

@@ -139,6 +139,29 @@ def presence_of(
 
 
 @kernel
+def found_share(row: Integers, line: Integers, stripes: int, rows: int, outer: int) -> Floats:
+    """Give (stripe,) the share of rows in which a stripe's light is found on belt that nothing covers.
+
+    Nothing covers the belt at the image's top, or at its bottom: the better of the two is taken.
+
+    Parameters
+    ----------
+    row, line
+        (peak,) row; rest line it lies on, −1 for none.
+    stripes, rows
+        Number of rest lines and of image rows.
+    outer
+        So many rows are the top, and the bottom.
+    """
+    found = np.zeros((2, stripes))
+    for p in range(row.shape[0]):
+        if line[p] >= 0:
+            found[0, line[p]] += row[p] < outer
+            found[1, line[p]] += row[p] >= rows - outer
+    return np.maximum(found[0], found[1]) / outer
+
+
+@kernel
 def between_bare(row: Integers, line: Integers, stripes: int, rows: int, rows_min: int) -> Flags:
     """Mark peaks on a rest line where the rest lines on either side show nothing.
 

@@ -45,6 +45,7 @@ from roemetry_coding.planes.pieces import (
     Pieces,
     between_bare,
     cut_ends,
+    found_share,
     on_rest_line,
     presence_of,
     relative_light,
@@ -64,6 +65,8 @@ _FLICKER_ROWS = 3
 """A trace beside its rest line for so few rows is noise, rows."""
 _BARE_ROWS = 20
 """A rest line is bare where nothing lies on it for so many rows on end: as long a gap as coders bridge."""
+_FOUND_MAX = 0.99
+"""A stripe found in so many rows is as good as always found: −log(1 − 0.98) is the full weight already."""
 _END_ROWS = 8
 """Cut off where a belt ends amid the image: a body may have begun within the tolerance, rows."""
 _BORDER_ROWS = 12
@@ -146,7 +149,11 @@ def build_problem(peaks: Peaks, calibration: Calibration, rest: RestLines, reach
     reaches = np.where(pieces.anchored[pieces.of[entries.peak]], 1.0, reach)
     below_mm = min(low_mm, 0.0) - _BELOW_TOLERANCES * slack_mm
     candidates = candidates_of(entries, lines.plane, below_mm, high_mm + slack_mm, reaches)
-    costs = pair_costs_of(entries, candidates, lines, presence, u_per_px, 2.0 * slack_mm, WEIGHTS)
+    # a stripe that is found with probability p, and is not seen, costs −log(1 − p); WEIGHTS.unseen at most
+    rows = peaks.image_size[0]
+    found = found_share(peaks.row, rest.line, presence.shape[1], rows, math.ceil(_OUTER_SHARE * rows))
+    surprise = np.minimum(-np.log1p(-np.minimum(found, _FOUND_MAX)) / WEIGHTS.unseen, 1.0)
+    costs = pair_costs_of(entries, candidates, lines, presence * surprise, u_per_px, 2.0 * slack_mm, WEIGHTS)
     there = presence.max(axis=0)
     own = unary_costs(entries, candidates, pieces, there, WEIGHTS, _ANCHOR_ROWS)
     return Problem(lines, pieces, entries, there, candidates, costs, own)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roemetry_coding.planes.pieces import ENDS, Pieces, between_bare, presence_of
+from roemetry_coding.planes.pieces import ENDS, Pieces, between_bare, found_share, presence_of
 from roemetry_coding.planes.vetoes import claimed, ends_settled, going_on, left_over
 
 STRIPES = 9
@@ -114,3 +114,12 @@ def test_an_end_that_lies_on_the_belt_still_is_not_yet_the_product(first: int, s
     found = ends_settled(pieces, stripe)
     assert (found[10:14] == (settled if first == 4 else 1.0)).all()
     assert (found[14:18] == (0.4 if first == 4 else 1.0)).all()
+
+
+def test_a_stripe_is_found_as_often_as_on_belt_that_nothing_covers() -> None:
+    """Stripe 0 is always found, 1 in every other row; a body covers the image's top, and amid it all rows."""
+    rows = np.arange(100)
+    bare = rows >= 70
+    row = np.concatenate([rows[bare], rows[bare & (rows % 2 == 0)]])
+    line = np.repeat([0, 1], [30, 15])
+    np.testing.assert_allclose(found_share(row, line, 3, 100, 10), [1.0, 0.5, 0.0])

@@ -403,6 +403,17 @@ def test_parts_and_single_frames_measure_what_the_whole_does(tmp_path: Path, fra
     assert value(row) == pytest.approx(TRUE_MM3, rel=0.01)
 
 
+def test_frames_that_the_table_of_counts_leaves_out_are_named(tmp_path: Path, frames) -> None:
+    for k in range(4):
+        cv2.imwrite(str(tmp_path / f"f{k}.png"), frames[k])
+    table = "file,encoder_count\n" + "".join(f"f{k}.png,{50 * k}\n" for k in (0, 1, 3))
+    (tmp_path / "counts.csv").write_text(table)
+    with pytest.raises(DataError, match=r"1 frames of the folder have no line in it, f2\.png first"):
+        BeltScan().references(tmp_path)
+    (tmp_path / "counts.csv").write_text(table + "f2.png,\n")
+    assert len(BeltScan().references(tmp_path)) == 1
+
+
 def test_frames_decoded_ahead_are_those_of_their_lines_in_any_order(tmp_path: Path, frames) -> None:
     for k, frame in enumerate(frames):
         cv2.imwrite(str(tmp_path / f"c{50 * k}.png"), frame)

@@ -129,15 +129,18 @@ def test_two_recipes_and_a_plate_give_the_true_volume(tmp_path: Path) -> None:
         away = np.min([(x - cx) ** 2 + (y - cy) ** 2 for cx, cy in middles], axis=0)
         return np.where(away < 24.0, 10.0 + np.sqrt(np.maximum(25.0 - away, 0.0)), 0.0)
 
-    (tmp_path / "target.yaml").write_text(
-        "kind: sphere-plate\nname: plate\ncolumns: 3\nrows: 2\npitch_mm: 18\ndiameter_mm: 10\n"
+    target, told = tmp_path / "target.yaml", tmp_path / "registration.yaml"
+    plates = head(tmp_path, "plate_top", balls), head(tmp_path, "plate_bottom", lambda x, y: balls(x, -y))
+    described = (
+        "kind: sphere-plate\nname: plate\ncolumns: 3\nrows: 2\npitch_mm: {}\ndiameter_mm: 10\n"
         "centre_height_mm: 10\ntolerance_mm: 0.005\n"
     )
-    told = tmp_path / "registration.yaml"
-    register_heads(
-        head(tmp_path, "plate_top", balls), head(tmp_path, "plate_bottom", lambda x, y: balls(x, -y)),
-        tmp_path / "target.yaml", told,
-    )  # fmt: skip
+    target.write_text(described.format(18))
+    with pytest.raises(CalibrationError, match=r"17\.6\d mm from .* file says 18 mm"):
+        register_heads(*plates, target, told)
+    assert not told.exists()
+    target.write_text(described.format(17.614))  # as they lie, one 0.7 mm and -0.4 mm beside the other
+    register_heads(*plates, target, told)
     table = tmp_path / "true.csv"
     two_sides(head(tmp_path, "top", ellipsoid), head(tmp_path, "bottom", ellipsoid), told, table)
     cm3, std, low, high, *_, reason = table.read_text().splitlines()[1].split(",")[1:]
