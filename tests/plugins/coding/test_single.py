@@ -85,3 +85,15 @@ def test_several_stripes_and_too_few_rows_are_refused() -> None:
     few[:6] = 50.0
     with pytest.raises(StageError, match="10 are the least"):
         Single().code(peaks_of((few, 100.0)), None)
+
+
+@pytest.mark.parametrize("frames", [1, 75, 1000])
+def test_a_line_is_whole_however_many_dark_rows_are_left_out(frames: int) -> None:
+    """58 of each frame's 216 rows show the line: costs of all others add up, and are rounded."""
+    row = np.arange(216 * frames)
+    shown = (row % 216 >= 70) & (row % 216 < 128)
+    row_start = np.concatenate([[0], np.cumsum(shown)])
+    at = row[shown]
+    x_px = 100.0 + 30.0 * np.sin((at % 216 - 70) / 58.0 * np.pi)
+    path, _ = brightest_path(row_start, x_px, 80.0 + 20.0 * np.sin(0.37 * at))
+    assert path.all()
