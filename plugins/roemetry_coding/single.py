@@ -43,8 +43,8 @@ _JUMP = 1.5
 _SKIP = 0.8
 """A row without the line: a peak of less than a fifth of its row's brightest is rather left out."""
 _ROUNDED = 1e-5
-"""Above what is rounded in a sum of costs, and far below what peaks differ by: of frames that lie one below the
-other some 15,000 rows are left out, and their sums forwards and backwards came out 1e-8 apart."""
+"""Above what is rounded in a sum of costs, and far below what peaks differ by: of frames that lie one below
+the other some 15,000 rows are left out, and their sums forwards and backwards come out 1e-8 apart."""
 _LINE_ROWS_MIN = 10
 """Fewer are no line."""
 
