@@ -36,7 +36,7 @@ _UNIFORM = 1.0 / math.sqrt(12.0)
 _UP_TO = 1.0 / math.sqrt(2.0)
 """Of the volume that may be missing beside slices: the more, the likelier. Where noise took a potato's flanks
 it was 97 % of it."""
-_FAULTS_UNSEEN = 3.0
+FAULTS_UNSEEN = 3.0
 """Lines that faults of transport have spoiled unnoticed, for each one that was noticed. Of three scans that
 `benchmarks faults` disturbed, one of nine, one of nine and four of ten such frames were noticed; those before
 and behind the product do no harm."""
@@ -182,7 +182,7 @@ def budget_of(found: Sections, profiles: Profiles, number: int) -> dict[str, flo
         rise = np.diff(area, prepend=0.0, append=0.0)
         per_slice = found.width_mm * found.held_mm
         budget["motion"] = abs(value) * scan.pitch_rel_std
-        budget["damaged lines"] = abs(value) * _FAULTS_UNSEEN * scan.damaged / scan.lines
+        budget["damaged lines"] = abs(value) * FAULTS_UNSEEN * scan.damaged / scan.lines
         budget["belt off its zero"] = abs(value) * scan.belt_off_rel_std
         if math.isfinite(scan.line_length_rel_std):
             budget["length of the line"] = abs(value) * scan.line_length_rel_std

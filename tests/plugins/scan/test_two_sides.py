@@ -69,6 +69,18 @@ def begun_at(count: float, mm_per_count: float = 0.02) -> Profiles:
     return replace(side, xyz_mm=xyz_mm, scan=figures)
 
 
+def test_a_flank_that_was_followed_to_the_belt_is_none_of_the_closed_body() -> None:
+    """As where nothing tells the upper head how high the rim lies: its flanks are drawn on down to the belt."""
+    side = seen(ellipsoid, 10.01)
+    x, y = side.xyz_mm[..., 0], side.xyz_mm[..., 1]
+    beside = (side.product == 0) & ((x / 27.0) ** 2 + (y / 19.0) ** 2 < 1.0) & (x > 0.0)
+    xyz_mm = side.xyz_mm.copy()
+    xyz_mm[beside, 2] = 2.0
+    label = np.where(beside, np.int16(1), side.product)
+    upper = replace(side, xyz_mm=xyz_mm, product=label, seen=side.seen & ~beside)
+    assert closed_volume(upper, side, Registration(LIFTED, 0.005, 9)).value == pytest.approx(TRUE, rel=0.01)
+
+
 @pytest.mark.parametrize(("upper", "lower"), [(100.0, 500.0), (760.0, 130.0), (4000.0, 4000.0)])
 def test_heads_that_begin_at_other_counts_are_placed_by_them(upper: float, lower: float) -> None:
     pose = LIFTED.copy()
@@ -83,8 +95,10 @@ def test_heads_that_cannot_be_put_together_are_refused() -> None:
     side, counted = seen(ellipsoid, 12.0), begun_at(100.0)
     assert counted.scan is not None
     begun = replace(counted, scan=replace(counted.scan, lines=61))  # its last line lies amid the product
+    half = replace(side, product=np.where(side.xyz_mm[..., 0] < 3.0, side.product, np.int16(-1)))
     for upper, lower, counts, says in (
         (side, seen(lambda x, y: 0.0 * x), (), "one head only"),
+        (side, half, (), "one head sees"),
         (begun, counted, (100.0, 100.0), "begins or ends within"),
         (counted, counted, (), "not of the plate"),
         (side, side, (0.0, 0.0), "the plate's scans only"),
