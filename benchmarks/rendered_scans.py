@@ -1,14 +1,17 @@
 """Belt scans of the other simulator: volumes and their intervals where lines look as light makes them.
 
     python -m benchmarks rendered_scans --count 6 --seed 500 --frames /tmp/frames
+    python -m benchmarks rendered_scans --heads --count 4 --seed 500
 
 Rigs, calibrations and motion are drawn as in `scans`; products, their surfaces (film, light below, texture),
 speckle and blur are drawn here and rendered by `mitsuba-belt`. Rendering takes most of the time: `--frames`
-keeps the frames and reads them again.
+keeps the frames and reads them again. With `--heads`, bodies between the two heads of `recipes/two_heads` are
+rendered from both sides, and their true volumes are compared.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import tempfile
 from dataclasses import replace
@@ -31,9 +34,14 @@ from benchmarks.scans import (
     told_scene,
 )
 from benchmarks.tables import Against
-from roemetry.records import Frame, ProductTruth, ScanLines
+from roemetry.config.recipe import Recipe
+from roemetry.config.scene import Scene
+from roemetry.errors import StageError
+from roemetry.records import Frame, ProductTruth, Profiles, ScanLines
 from roemetry_mitsuba.moving_belt import MitsubaBelt, MitsubaBeltOptions
 from roemetry_pinhole.pinhole_plane import PinholePlane
+from roemetry_scan.closed import closed_volume
+from roemetry_scan.commands import read_registration
 from roemetry_scan.placing import BeltMotion
 
 BODIES: dict[str, dict[str, Any]] = {
@@ -78,6 +86,50 @@ def lines_of(sim: MitsubaBelt, seed: int, kept: Path | None) -> tuple[ScanLines,
     return lines, placed[0].truth
 
 
+HEADS = Path(__file__).parents[1] / "recipes" / "two_heads"
+BETWEEN: dict[str, dict[str, Any]] = {
+    "superquadric": {"length_mm": [46, 56], "width_mm": [34, 40], "height_mm": [24, 34]},
+    "supershape": {"length_mm": [46, 56], "width_mm": [34, 40], "height_mm": [24, 34]},
+    "ball": {"diameter_mm": [28, 36]},
+}
+"""Bodies that both heads' views hold."""
+
+
+def between_heads(count: int, seed: int, kept: Path | None) -> None:
+    """Say how far the true volumes of bodies between two heads are off."""
+    registered = read_registration(HEADS / "registration.yaml", "T_top_bottom")
+    sides = ("top", "bottom")
+    recipes = [Recipe.load(HEADS / "heads" / f"{side}.yaml") for side in sides]
+    for family, size in BETWEEN.items():
+        found = Against()
+        product = {"family": family, "options": {**size, "turn_range_deg": 10, "offset_range_y_mm": 2}}
+        for k in range(count):
+            profiles: list[Profiles] = []
+            for side, recipe in zip(sides, recipes, strict=True):
+                scene_file = HEADS / f"potatoes_{side}_scene.yaml"
+                sets = ["simulator.use=mitsuba-belt", f"simulator.options.product={json.dumps(product)}"]
+                sim = Scene.load(scene_file, sets=sets).simulator.make()
+                stored = None if kept is None else kept / f"{family}_{side}_{seed}_{k}.npz"
+                lines, truth = lines_of(sim, seed + k, stored)
+                trace = measured(recipe, lines)
+                if trace.profiles is None:
+                    print(f"  {family} {seed + k}, {side}: {[one.text for one in trace.absent.values()]}")
+                else:
+                    profiles.append(trace.profiles)
+            if len(profiles) < len(sides):
+                continue
+            try:
+                volume = closed_volume(profiles[0], profiles[1], registered)
+            except StageError as error:
+                print(f"  {family} {seed + k}: {error.message}")
+                continue
+            found.add(volume, truth.true_mm3)
+            off = volume.value / truth.true_mm3 - 1.0
+            print(f"  {family} {seed + k}: {off:+.3%} ± {volume.std / volume.value:.3%}", flush=True)
+        if found.off.size:
+            tell("between two heads", family, found)
+
+
 def main() -> None:
     """Say how far volumes are off, and how often their intervals hold the truth."""
     parser = parser_of(__doc__)
@@ -85,7 +137,11 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=6)
     parser.add_argument("--seed", type=int, default=500)
     parser.add_argument("--frames", type=Path, help="a folder that keeps rendered frames")
+    parser.add_argument("--heads", action="store_true", help="true volumes between two heads instead")
     asked = parser.parse_args()
+    if asked.heads:
+        between_heads(asked.count, asked.seed, asked.frames)
+        return
     for family in asked.families.split(","):
         found = Against()
         for k in range(asked.count):

@@ -203,7 +203,7 @@ def closed_volume(
         raise StageError(
             f"one head sees {alone / 1000.0:.2f} cm³ of the product where the other sees nothing of it, "
             f"both see {value / 1000.0:.2f} cm³",
-            hint="look at both heads' scans: is the line followed everywhere, and is the registration theirs?",
+            hint="look at both scans: is the line followed everywhere, and is the registration theirs?",
         )
     footprint = float(np.isfinite(upper).sum() * step * (y[1] - y[0]))
     coarse = [float((areas + beyond)[first::2].sum() * 2.0 * step) for first in (0, 1)]

@@ -90,7 +90,7 @@ def two_sides(
     from roemetry.io.files import write_whole
     from roemetry_scan.closed import CAUSES, closed_volume
 
-    found = _registration(registration, _ABOVE)
+    found = read_registration(registration, _ABOVE)
     causes = ",".join(f"{cause} (cm³)" for cause in CAUSES)
     lines = [
         f"acquisition,true volume (cm³),standard uncertainty (cm³),95 % from (cm³),to (cm³),{causes},reason"
@@ -146,7 +146,7 @@ def side_by_side(
             f"{len(heads)} heads and {len(registration)} registrations: one for each two neighbours",
             hint="name at least two recipes, and --registration once less",
         )
-    known = [_registration(one, _BESIDE) for one in registration]
+    known = [read_registration(one, _BESIDE) for one in registration]
     scans = [list(_traces(one)) for one in heads]
     if len({len(one) for one in scans}) > 1:
         told = ", ".join(f"{path} {len(one)}" for path, one in zip(heads, scans, strict=True))
@@ -187,7 +187,8 @@ def side_by_side(
     typer.echo(str(table))
 
 
-def _registration(path: Path, kind: str) -> Registration:
+def read_registration(path: Path, kind: str) -> Registration:
+    """Read what `register-heads` wrote; CalibrationError where it is none of the kind."""
     import numpy as np
 
     from roemetry.errors import CalibrationError

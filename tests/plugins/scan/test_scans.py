@@ -545,3 +545,17 @@ def test_a_recipe_of_slices_needs_no_extractor() -> None:
     told = {"source": {"use": "height-files", "path": "."}, "stages": {"volume": "dense-slices"}}
     recipe = Recipe.of({"roemetry": 1, "product": "x", **told})
     assert list(recipe.stages) == ["volume", "assembler"]
+
+
+def test_single_points_that_faint_light_leaves_out_are_no_torn_line(
+    seen: Scan, rng: np.random.Generator
+) -> None:
+    """As on a face that falls away from the light: half of each line's points are missing, in no order."""
+    stripes, lines = seen
+    whole = placed(stripes, lines)
+    high = (whole.product > 0) & (whole.xyz_mm[..., 2] > 1.0)
+    on = np.flatnonzero(high.sum(axis=1) > 40)[:8]
+    x_px = stripes.x_px.copy()
+    for k in on:
+        x_px[whole.frame[k], high[k] & (rng.random(x_px.shape[1]) < 0.5)] = np.nan
+    assert not set(whole.frame) - set(placed(showing(stripes, x_px), lines).frame)

@@ -70,7 +70,7 @@ def begun_at(count: float, mm_per_count: float = 0.02) -> Profiles:
 
 
 def test_a_flank_that_was_followed_to_the_belt_is_none_of_the_closed_body() -> None:
-    """As where nothing tells the upper head how high the rim lies: its flanks are drawn on down to the belt."""
+    """As where nothing tells the upper head how high the rim lies, and its flanks are drawn on."""
     side = seen(ellipsoid, 10.01)
     x, y = side.xyz_mm[..., 0], side.xyz_mm[..., 1]
     beside = (side.product == 0) & ((x / 27.0) ** 2 + (y / 19.0) ** 2 < 1.0) & (x > 0.0)
