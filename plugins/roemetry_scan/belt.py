@@ -19,7 +19,7 @@ from pydantic import Field
 from roemetry.errors import StageError
 from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry.stages import StageOptions
-from roemetry_kernels.compiling import float_kernel
+from roemetry_kernels.compiling import float_kernel, kernel
 
 Belt = tuple[Floats, Floats]
 """(3, 3) rotation and (3,) point of a belt plane: its Z is 0 at R·(p − point)."""
@@ -36,6 +36,9 @@ _EDGE_MM = 0.15
 """Least height over the belt that is product, where its points' scatter would allow less."""
 _NOISE_FACTOR = 4.0
 """Standard deviations above the belt from which a point is no noise."""
+_EDGE_POINTS, _EDGE_SHARE = 3, 0.3
+"""Points that a cut-off line may lift at the far edge of a shadow, and how high they are at most, of what is
+seen behind the shadow."""
 
 
 class BeltOptions(StageOptions):
@@ -157,4 +160,40 @@ def products_on(
     side = {k: int(np.flatnonzero(region[at] == k)[0]) for k, at in first.items()}
     for place, k in enumerate(sorted(first, key=lambda k: (first[k], side[k])), start=1):
         number[k] = place
-    return np.where(seen, np.where(on, number[region], 0), -1).astype(np.int16)
+    found = np.where(seen, np.where(on, number[region], 0), -1).astype(np.int16)
+    found[_beyond_shadow(height_mm, found) | _beyond_shadow(height_mm.T, found.T).T] = 0
+    return found
+
+
+@kernel
+def _beyond_shadow(height_mm: Floats, label: Labels) -> Flags:
+    """Mark what of a product's section, a row of both arrays, is belt at the far edge of its shadow.
+
+    There a line of light is cut off, and its middle lies off: up to three points at the section's end that
+    are far lower than the product, behind points that are not seen.
+    """
+    rows, points = label.shape
+    found = np.zeros(label.shape, np.bool_)
+    for i in range(rows):
+        for way in (1, -1):
+            k, islands = 0 if way == 1 else points - 1, 0
+            first = k
+            while 0 <= k < points:
+                if label[i, k] <= 0:
+                    if label[i, k] == 0:
+                        islands = 0
+                    k += way
+                    continue
+                begin = k
+                while 0 <= k < points and label[i, k] == label[i, begin]:
+                    k += way
+                first = begin if islands == 0 else first
+                islands += 1
+                if abs(k - begin) <= _EDGE_POINTS:
+                    continue
+                for m in range(first, begin, way):
+                    mine = label[i, m] == label[i, begin]
+                    found[i, m] |= mine and height_mm[i, m] < _EDGE_SHARE * height_mm[i, begin]
+                while 0 <= k < points and label[i, k] != 0:
+                    k += way
+    return found

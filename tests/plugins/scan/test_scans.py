@@ -33,6 +33,7 @@ from roemetry.run import scan
 from roemetry.run.api import Recipe as Running
 from roemetry.run.open_parts import split_products
 from roemetry_pinhole.pinhole_plane import PinholePlane
+from roemetry_scan.belt import BeltOptions, products_on
 from roemetry_scan.dense import DenseSlices
 from roemetry_scan.line_ends import line_ends
 from roemetry_scan.placing import BeltMotion
@@ -559,3 +560,18 @@ def test_single_points_that_faint_light_leaves_out_are_no_torn_line(
     for k in on:
         x_px[whole.frame[k], high[k] & (rng.random(x_px.shape[1]) < 0.5)] = np.nan
     assert not set(whole.frame) - set(placed(showing(stripes, x_px), lines).frame)
+
+
+def test_belt_at_the_far_edge_of_a_shadow_is_no_product() -> None:
+    """A dome, its shadow beside it, and behind that two points which the cut-off line has lifted."""
+    x, y = np.meshgrid(np.arange(40.0), 0.25 * np.arange(200.0), indexing="ij")
+    inside = 1.0 - ((x - 20.0) / 12.0) ** 2 - ((y - 25.0) / 10.0) ** 2
+    height_mm = np.where(inside > 0.0, 6.0 + 6.0 * np.sqrt(np.maximum(inside, 0.0)), 0.0)
+    shadow = (inside <= 0.0) & (y > 25.0) & (y < 36.0) & (np.abs(x - 20.0) < 10.0)
+    height_mm[shadow] = np.nan
+    lifted = (y >= 36.0) & (y < 36.5) & (np.abs(x - 20.0) < 10.0)
+    height_mm[lifted] = 0.25
+    height_mm[(np.abs(x - 20.0) < 10.0) & (y == 35.5)] = 0.3  # dim light within the shadow
+    number = products_on(height_mm, (1.0, 0.25), 0.0, BeltOptions(gap_mm=6.0))
+    assert (number[inside > 0.0] == 1).all()
+    assert not (number[inside <= 0.0] > 0).any()
