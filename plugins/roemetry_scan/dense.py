@@ -46,8 +46,8 @@ FLANK_SHARE = 0.06
 """Of what was followed of the flanks. Chosen on foods (seeds 9500 and 9700), where 0.1 made intervals three
 times too wide; on seed 9900, used for nothing else, 19 of 20 intervals hold."""
 _FLANKS_MUCH = 0.15
-"""Of the volume: where so much was followed, the doubt is twice that share. What a conic misses grows with the
-third power of how far it is followed, and the area with the first: of a lumpy body a quarter of which was
+"""Of the volume: where so much was followed, the doubt is twice that share. What a conic misses grows with
+the third power of how far it is followed, and the area with the first: of a lumpy body a quarter of which was
 followed it was 31 % (`mitsuba-belt`, seed 109400), of foods with 5 to 10 % at most 8."""
 _EDGE_SHIFT = 0.3
 """Points by which all edges may lie farther out together: rays miss the last of a flank (seed 7000)."""
