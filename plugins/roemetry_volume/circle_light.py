@@ -5,8 +5,9 @@ But which light lies on the belt is known all around, for the belt's circles are
 image are light of the belt where they follow one of those, and light of a product where they are beside all
 of them. Single bright pixels are no ridges.
 
-Fails where the light of a product follows a circle of the belt for long, which an outline then seems to cut;
-`inside_px` counts only what comes from outside.
+On a rim that is thin, light lies within a pixel of the belt's circle, and leaves it farther inside: what
+leaves it within an outline is the product's. Fails where the light of a product follows a circle of the belt
+for long and ends there.
 """
 
 from __future__ import annotations
@@ -53,11 +54,30 @@ class CircleLight(NamedTuple):
     belt_ridge: NDArray[np.int32]
     """(n,) number of the ridge that each is on."""
     product: Floats
+    ridge: Flags
+    """(row, column) where there is any light."""
+    leaves: Flags
+    """(row, column) where it follows no circle of the belt."""
 
     def near(self, contour: Floats, reach_px: float) -> CircleLight:
         """Give what of it lies so near to a contour."""
         belt, product = (np.abs(inside_by(contour, one)) < reach_px for one in (self.belt, self.product))
-        return CircleLight(self.belt[belt], self.belt_ridge[belt], self.product[product])
+        belt &= ~self._thin(contour)
+        return self._replace(
+            belt=self.belt[belt], belt_ridge=self.belt_ridge[belt], product=self.product[product]
+        )
+
+    def _thin(self, contour: Floats) -> Flags:
+        """Say which of the belt's light is on a ridge that leaves the belt's circle within a contour."""
+        import cv2
+
+        within = np.zeros(self.ridge.shape, np.uint8)
+        cv2.fillPoly(within, [np.rint(contour).astype(np.int32)], 1)
+        within &= self.ridge
+        number = cv2.connectedComponents(within, connectivity=8)[1]
+        leaving = np.bincount(number[self.leaves & (number > 0)], minlength=number.max() + 1)
+        column, row = self.belt.astype(np.int64).T
+        return np.asarray(leaving[number[row, column]] >= _LEAST_PX)
 
     def off_px(self, contour: Floats, shift_px: Floats) -> tuple[float, float] | None:
         """Say how far outside a contour the product's light lies, and how far inside of it the belt's.
@@ -86,14 +106,22 @@ def circle_light(pixels: NDArray[Any], view: View) -> CircleLight:
     away_px = _from_belt_px(view, height.shape)
     on_belt = height[(away_px <= _ON_PX) & (height > 0.0)]
     if not on_belt.size:
-        return CircleLight(np.empty((0, 2)), np.empty(0, np.int32), np.empty((0, 2)))
+        nothing = np.zeros(height.shape, np.bool_)
+        return CircleLight(np.empty((0, 2)), np.empty(0, np.int32), np.empty((0, 2)), nothing, nothing)
     # parts of circles are hidden, and noise lies there: the upper half is light
     usual = float(np.median(on_belt[on_belt >= np.median(on_belt)]))
     noise = _NOISE * _SMOOTHED * _noise_of(pixels)
     belt = (away_px <= _ON_PX) & (height > max(_BELT_SHARE * usual, noise))
     beside = (away_px > _BESIDE_PX) & (height > max(_PRODUCT_SHARE * usual, noise))
     number = cv2.connectedComponents(belt.astype(np.uint8), connectivity=8)[1]
-    return CircleLight(_places(belt), number[belt].astype(np.int32), _places(_long(beside)))
+    ridge = height > max(_PRODUCT_SHARE * usual, noise)
+    return CircleLight(
+        _places(belt),
+        number[belt].astype(np.int32),
+        _places(_long(beside)),
+        ridge,
+        ridge & (away_px > _ON_PX),
+    )
 
 
 def _ridges(pixels: NDArray[Any]) -> NDArray[np.float32]:

@@ -66,7 +66,7 @@ def test_light_of_belt_and_product_lies_on_both_sides_of_an_edge(
     moved = light.off_px(EDGE + ASIDE, NOWHERE)
     back = light.off_px(EDGE + ASIDE, -ASIDE)
     assert moved is not None and back is not None
-    assert min(moved) > 1.0 and max(back) < 0.5
+    assert max(moved) > 2.0 and max(back) < 0.5
 
 
 def test_light_that_crosses_a_circle_of_the_belt_is_not_the_belts() -> None:
@@ -74,12 +74,25 @@ def test_light_that_crosses_a_circle_of_the_belt_is_not_the_belts() -> None:
     across = MIDDLE + np.array([AXES[0] - 4.0, 0.0]) + np.column_stack([np.zeros(6), np.arange(6.0) - 3.0])
     around = scaled(1.1)[::4]
     product = scaled(0.95)
-    light = CircleLight(
-        np.vstack([across, around]), np.repeat([1, 2], [6, len(around)]).astype(np.int32), product
-    )
+    nothing = np.zeros((480, 640), np.bool_)
+    number = np.repeat([1, 2], [6, len(around)]).astype(np.int32)
+    light = CircleLight(np.vstack([across, around]), number, product, nothing, nothing)
     off = light.off_px(EDGE, NOWHERE)
     assert off is None or off[1] < 0.0
-    assert CircleLight(around[:3], np.ones(3, np.int32), product).off_px(EDGE, NOWHERE) is None
+    few = CircleLight(around[:3], np.ones(3, np.int32), product, nothing, nothing)
+    assert few.off_px(EDGE, NOWHERE) is None
+
+
+def test_light_that_leaves_a_circle_of_the_belt_within_the_edge_is_on_a_thin_rim() -> None:
+    """Two ridges along a row into the ellipse: one leaves the belt's circle 15 px inside, the other ends."""
+    ridge, leaves = np.zeros((2, 480, 640), np.bool_)
+    ridge[210, 395:480] = ridge[260, 410:480] = leaves[210, 395:415] = True
+    row, column = np.nonzero(ridge & ~leaves)
+    belt, number = np.column_stack([column, row]).astype(float), (row == 260) + 1
+    light = CircleLight(belt, number.astype(np.int32), scaled(0.98), ridge, leaves).near(EDGE, 50.0)
+    assert set(light.belt[:, 1]) == {210.0, 260.0}
+    inside = ((light.belt - MIDDLE) ** 2 / AXES**2).sum(axis=1) < 0.98
+    assert set(light.belt[inside, 1]) == {260.0}
 
 
 def test_an_image_without_light_has_none(view: View) -> None:
