@@ -42,7 +42,7 @@ def drawn(view: View, rng: np.random.Generator, *, noise: float, specks: float =
     image = cv2.resize(np.where(inside > 0, body, belt), view.image_size[::-1], interpolation=cv2.INTER_AREA)
     image = cv2.GaussianBlur(image, (0, 0), 0.7) + 5.0 + rng.normal(0.0, noise, image.shape)
     image[rng.random(image.shape) < specks] = 255.0
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.rint(image), 0, 255), np.uint8)
 
 
 def scaled(scale: float) -> np.ndarray:
@@ -106,6 +106,7 @@ def test_a_plain_image_of_another_scale_is_refused_or_in_the_interval(scale: flo
     laser, plain = (
         cv2.imread(str(CIRCLES / name / "potato_02.png"), -1) for name in ("images", "images_plain")
     )
+    assert laser is not None and plain is not None
     (sound,) = recipe.measure(laser, plain=plain)
     rows, columns = plain.shape
     turned = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), 0.0, scale)
