@@ -1,14 +1,19 @@
 """How a camera has moved over the belt, from circles on it: as `belt-lines` from lines.
 
 Circles tell more of a motion than lines, for they bend: a shift along their halves is seen, too. All halves
-come from one point round one axis, so none moves against the others, and none is corrected alone.
+come from one point round one axis, so none moves against the others, and none is corrected alone: where
+halves lie beside the best motion, columns of the image are lost, or camera and light are not as calibrated.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
+from roemetry.errors import StageError
 from roemetry.records import Peaks
+from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.stages import Aligner, Capabilities
 from roemetry_coding.alignment import (
@@ -23,6 +28,11 @@ from roemetry_coding.alignment import (
 from roemetry_coding.belt_lines import PEAKS_MIN, fitted, model_of
 
 _LIGHT = Light("circles", "the calibrated ones", "image's top and bottom")
+_HALVES_RMS_PX = 0.2
+"""Of the halves' mean distances from where the motion takes them: at most 0.04 of five sound potatoes, 0.08
+to 0.15 where a column is lost and volumes hold, 0.25 to 0.32 where they do not."""
+_HALVES_MIN = 4
+"""Halves on the belt that tell it: as many as a motion has numbers."""
 
 
 class BeltCircles(Aligner[AlignerOptions]):
@@ -34,12 +44,31 @@ class BeltCircles(Aligner[AlignerOptions]):
     def align(
         self, peaks: Peaks, calibration: Calibration, moved: Callable[[Calibration, Alignment], Calibration]
     ) -> Alignment:
-        """Compare a frame's belt with the calibration; StageError where the circles have moved too far."""
+        """Compare a frame's belt with the calibration.
+
+        Raises
+        ------
+        StageError
+            The circles have moved too far, or their halves fit no motion.
+        """
         model = model_of(calibration, moved)
         fit = fitted(peaks, model)
         if fit.outer_peaks >= PEAKS_MIN:
             refuse_far(fit.outer_peaks, fit.outer_fit, _LIGHT)
         if fit.used < PEAKS_MIN:
             return not_compared()
+        _refuse_halves_apart(fit.stripe_px)
         motion = FittedMotion(fit.motion, fit.covariance, model.edges, model.scale)
         return alignment_of(motion, self.options, focal_px_of(calibration), _LIGHT, 2)
+
+
+def _refuse_halves_apart(half_px: Floats) -> None:
+    """Refuse a frame by the mean distances (half,) from where the motion takes halves, px; NaN: not known."""
+    known_px = half_px[np.isfinite(half_px)]
+    rms_px = float(np.sqrt(np.mean(known_px**2))) if known_px.size >= _HALVES_MIN else 0.0
+    if rms_px > _HALVES_RMS_PX:
+        raise StageError(
+            f"halves of circles on the belt lie {rms_px:.2f} px (rms) beside where any motion of the camera "
+            "takes them: columns of the image are lost, or the rig is another one",
+            hint="look at the image; take it again, or calibrate again",
+        )

@@ -269,6 +269,12 @@ def _scene_of(product: Product) -> _Scene:
     order = order[np.unique(np.linspace(0, len(xyz) - 1, min(len(xyz), _POINTS_MAX)).astype(np.int64))]
     xyz, std = xyz[order], np.hypot(std[order], _FLAT_STD_MM)
     outline, view = product.outline, product.view
+    if outline is None and view is not None and len(view.cones):
+        raise StageError(
+            "no outline was found, or none that agrees with the light: between circles, and where they run "
+            "along rows, no point shows where the product ends",
+            hint="look at the plain-light image, and take both again",
+        )
     if outline is None or view is None:
         hull = _hull(every_xy)
         start = np.column_stack([hull, np.zeros(len(hull))])
@@ -552,9 +558,10 @@ def _expected(xy: Floats, place: Floats, solved: Floats, trend: Floats, prior: F
 
 
 def _likeliest(scene: _Scene) -> tuple[_Kriged, float]:
-    """Give the likeliest surface, and the volume's spread over rims that are likely as well, mm³.
+    """Give the likeliest surface, and the volume's spread over others that are likely as well, mm³.
 
-    The rim is found first, among every second height and those beside the best, then reach and size.
+    The rim is found first, among every second height and those beside the best, then reach and size. The
+    spread is that over rims, and that over reaches and sizes.
     """
     rims = scene.rims()
     tried: dict[int, _Kriged] = {}
@@ -566,18 +573,21 @@ def _likeliest(scene: _Scene) -> tuple[_Kriged, float]:
 
     top = max(range(0, rims.size, 2), key=likelihood)
     top = max((at for at in (top - 1, top, top + 1) if 0 <= at < rims.size), key=likelihood)
-    weight = {at: math.exp((likelihood(at) - likelihood(top)) / _ALIKE) for at in tried}
-    likely = [at for at in tried if weight[at] > _WEIGHT_MIN]
-    volumes = np.array([tried[at].volume_mm3(scene.nodes(float(rims[at]))) for at in likely])
-    shares = np.array([weight[at] for at in likely])
-    mean = float(shares @ volumes / shares.sum())
-    spread = math.sqrt(float(shares @ (volumes - mean) ** 2 / shares.sum()))
     others = [(reach, size) for reach in _REACHES for size in _SIZES if (reach, size) != _FIRST]
-    best = max(
-        [*(_krige(scene, float(rims[top]), *pair) for pair in others), tried[top]],
-        key=lambda one: one.log_likelihood,
-    )
-    return best, spread
+    at_top = [*(_krige(scene, float(rims[top]), *pair) for pair in others), tried[top]]
+    best = max(at_top, key=lambda one: one.log_likelihood)
+    return best, math.hypot(_spread_mm3(scene, [*tried.values()]), _spread_mm3(scene, at_top))
+
+
+def _spread_mm3(scene: _Scene, tried: list[_Kriged]) -> float:
+    """Give the standard deviation of the volumes of surfaces, each as likely as it is."""
+    top = max(one.log_likelihood for one in tried)
+    weight = [math.exp((one.log_likelihood - top) / _ALIKE) for one in tried]
+    likely = [(one, share) for one, share in zip(tried, weight, strict=True) if share > _WEIGHT_MIN]
+    volumes = np.array([one.volume_mm3(scene.nodes(one.rim_mm)) for one, _ in likely])
+    shares = np.array([share for _, share in likely])
+    mean = float(shares @ volumes / shares.sum())
+    return math.sqrt(float(shares @ (volumes - mean) ** 2 / shares.sum()))
 
 
 def _inside(contour: Floats, xy: Floats) -> Flags:

@@ -13,8 +13,9 @@ shifted (belt or camera moved between the images) is left out. Where no shift ex
 in the plain image goes on far beyond all stripes, one of the images lies (rows of the laser image are lost,
 the plain image is another product's or of another scale), nobody knows which, and the product is refused.
 
-Of a grid both families' lines have ends. Circles have few, so that all of their points are asked. Dots leave
-some pixels free on both sides of an outline (`DotBrackets`).
+Of a grid both families' lines have ends. Circles have few, so that all of their points are asked, and all of
+their light in the laser image (`circle_light`). Dots leave some pixels free on both sides of an outline
+(`DotBrackets`).
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from roemetry.records import Reason, StripeMap
 from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.image_levels import quantile_of
+from roemetry_volume.circle_light import CircleLight
 from roemetry_volume.edge_search import Scene, unbound
 from roemetry_volume.footprint import area_of, inside_by
 
@@ -47,6 +49,9 @@ _STRIP_SHARE = 0.02
 """Of a product's points on circles, the outermost: more than mistaken labels, and all of them at the rim."""
 _CUT = 9.0
 """Of the usual variance: the centre of a dot that a rim has cut, uncertain by as much, tells no side."""
+_TOUCHES_PX = 1.0
+"""Light of circles that ends at an edge lies 0.2 to 0.8 px on its right side, as `CircleLight.off_px` says:
+light farther away does not reach it."""
 _BY_CHANCE = 2.6
 """Standard deviations by which dots lie nearer to one side of one sound outline in a hundred."""
 CONTRADICTION_PX = 0.75
@@ -68,9 +73,16 @@ class Brackets(Protocol):
         ...
 
 
-def brackets_of(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> Brackets | None:
-    """Find what brackets a product's outline (point, 2) px; None of too little."""
-    found = _dots_of if stripes.dots is not None else _curves_of if stripes.circles else _ends_of
+def brackets_of(
+    scene: Scene, ring: Floats, stripes: StripeMap, number: int, light: CircleLight | None = None
+) -> Brackets | None:
+    """Find what brackets a product's outline (point, 2) px; None of too little.
+
+    `light` is that of circles, all around them.
+    """
+    if stripes.circles:
+        return _curves_of(scene, ring, stripes, number, light)
+    found = _dots_of if stripes.dots is not None else _ends_of
     return found(scene, ring, stripes, number)
 
 
@@ -177,18 +189,34 @@ class _CurveBrackets(NamedTuple):
     """A product's outline in plain light, and (point, 2) px of circles on the product and on the belt.
 
     Few circles end at the rim, so that all of their points are asked. `ends` is what ends do say, if enough.
+    `light` is that of the whole circles in the laser image, also where they run along rows. The outline
+    `ring` is held against it, too: out of focus the product's light, which bounds it, reaches beyond a rim.
     """
 
+    ring: Floats
     free: Floats
     on: Floats
     beside: Floats
     ends: _EndBrackets | None
+    light: CircleLight | None
 
     def disagreement_px(self) -> tuple[float, float]:
-        """Say how far the outline is from what points and ends allow, and how much nothing else explains."""
+        """Say how far the outline is from what points, ends and light allow.
+
+        And how far of it nothing but a wrong outline explains. Light of product and belt keeps the same
+        distance from a sound edge, so that half of the difference is what the edge is off by; but where light
+        of the one does not reach the edge at all, no more than that of the other allows.
+        """
         against = max(self._against_px(np.zeros(2)) - _END_PX, 0.0)
         apart, of_ends = (0.0, 0.0) if self.ends is None else self.ends.disagreement_px()
-        return max(against, apart), max(against, of_ends)
+        of_light = max(self._off_by_light_px(edge) for edge in (self.ring, self.free))
+        return max(against, apart, of_light), max(against, of_ends)
+
+    def _off_by_light_px(self, edge: Floats) -> float:
+        off_px = None if self.light is None else self.light.off_px(edge, np.zeros(2))
+        if off_px is None:
+            return 0.0
+        return min(0.5 * abs(off_px[0] - off_px[1]), max(0.0, max(off_px) + _TOUCHES_PX))
 
     def contradiction_left_px(self) -> float:
         """Say how far points, and nine in ten ends, contradict the best shifted edge at most."""
@@ -206,10 +234,14 @@ class _CurveBrackets(NamedTuple):
         last = int(_STRIP_SHARE * len(self.on)) + 1
         found = max(float(np.partition(side, -last)[-last]) for side in (outside, inside))
         around_px = float(np.hypot(*(np.roll(self.free, -1, axis=0) - self.free).T).sum())
-        return found + _STRIP_SHARE * abs(area_of(self.free)) / around_px
+        found += _STRIP_SHARE * abs(area_of(self.free)) / around_px
+        off_px = None if self.light is None else self.light.off_px(self.free, shift_px)
+        return found if off_px is None else max(found, *off_px)
 
 
-def _curves_of(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> _CurveBrackets | None:
+def _curves_of(
+    scene: Scene, ring: Floats, stripes: StripeMap, number: int, light: CircleLight | None
+) -> _CurveBrackets | None:
     """Find a product's points of circles, and the belt's; None of too few."""
     row = np.broadcast_to(np.arange(stripes.rows, dtype=np.float64), stripes.x_px.shape)
     on, beside = (
@@ -218,7 +250,10 @@ def _curves_of(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> _
     )
     if min(len(on), _STRIP_SHARE * len(beside)) < _LEAST_ENDS:
         return None
-    return _CurveBrackets(unbound(scene, ring), on, beside, _ends_of(scene, ring, stripes, number))
+    free = unbound(scene, ring)
+    if light is not None:  # farther light stays on its side however the image is shifted
+        light = light.near(free, 2.0 * _SHIFT_MAX_PX)
+    return _CurveBrackets(ring, free, on, beside, _ends_of(scene, ring, stripes, number), light)
 
 
 def _best_shifted(left_px: Callable[[Floats], float]) -> float:

@@ -41,6 +41,7 @@ from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.image_levels import median_of, quantile_of
 from roemetry_kernels.robust_fit import solve
 from roemetry_volume.agreement import CONTRADICTION_PX, LEAST_ROWS, brackets_of, contradiction
+from roemetry_volume.circle_light import circle_light
 from roemetry_volume.edge_search import Scene, edge_around, redrawn
 from roemetry_volume.footprint import area_of
 from roemetry_volume.image_motion import laid_over, logarithm
@@ -146,6 +147,9 @@ class EdgeContour(Outliner[EdgeContourOptions]):
         taken_out = None if on_stripes is None else on_stripes.astype(np.float32)
         many = stripes.stripe_count > 1
         larger = _shown_larger(level, known, spacing) if use_plain and known and many else {}
+        of_circles = None
+        if stripes.circles and use_plain and calibration is not None and calibration.view is not None:
+            of_circles = circle_light(_one(frame.pixels), calibration.view)
         outlines = []
         for number, region in (known or _cores(level)).items():
             if not _is_clear(level, region):
@@ -164,7 +168,9 @@ class EdgeContour(Outliner[EdgeContourOptions]):
                     outlines.append(Outline(number, ring, spacing, {}, larger[number]))
                 continue
             std_px, fault = edge.std_px, larger.get(number)
-            brackets = brackets_of(scene, edge.xy_px, stripes, number) if use_plain and known else None
+            brackets = None
+            if use_plain and known:
+                brackets = brackets_of(scene, edge.xy_px, stripes, number, of_circles)
             if brackets is not None:
                 apart_px, against_px = brackets.disagreement_px()
                 std_px = math.hypot(std_px, apart_px) if apart_px else std_px

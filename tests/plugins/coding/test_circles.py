@@ -17,8 +17,10 @@ from roemetry.records.calibration import Calibration
 from roemetry.records.cones import meet_cones
 from roemetry.records.view import write_camera
 from roemetry.testing.circles import CircleRig, level
+from roemetry_coding.belt_circles import BeltCircles
 from roemetry_coding.circles import CircleOrder
 from roemetry_peaks.circle_curves import CircleCurves
+from roemetry_pinhole.cones import PinholeCircles
 
 CIRCLES = Path("recipes/potato_circles")
 
@@ -92,6 +94,29 @@ def test_the_shipped_potatoes_are_measured_in_their_intervals() -> None:
         found = product.volume.visible_mm3
         assert abs(found.value / 1e3 - true_cm3) < 0.006 * true_cm3
         assert found.interval[0] < 1e3 * true_cm3 < found.interval[1]
+
+
+def test_a_lost_column_is_refused_and_no_motion_of_the_camera() -> None:
+    """All circles right of it lie a pixel aside, which shift, turn and zoom explain in part."""
+    calibration = Calibration.load(CIRCLES / "calibration.yaml")
+    pixels = cv2.imread(str(CIRCLES / "images/potato_02.png"), cv2.IMREAD_UNCHANGED)
+    assert pixels is not None
+    moved = PinholeCircles().moved
+    torn = np.concatenate([np.delete(pixels, 470, axis=1), pixels[:, -1:]], axis=1)
+    peaks = CircleCurves().extract(Frame(torn.astype(np.uint8), sensor=Sensor(0.0255, 0.2)))
+    with pytest.raises(StageError, match="columns of the image are lost"):
+        BeltCircles().align(peaks, calibration, moved)
+    shifted = cv2.warpAffine(
+        pixels, np.array([[1.0, 0.0, 0.8], [0.0, 1.0, -0.5]]), pixels.shape[::-1], flags=cv2.INTER_LANCZOS4
+    )
+    peaks = CircleCurves().extract(Frame(shifted.astype(np.uint8), sensor=Sensor(0.0255, 0.2)))
+    assert BeltCircles().align(peaks, calibration, moved).moved
+
+
+def test_circles_without_an_outline_have_no_volume() -> None:
+    (product, *_) = Recipe.load(CIRCLES, sets=["sinks=[]", "stages.outliner=null"]).run()
+    assert product.volume is None
+    assert any("no outline was found" in reason.text for reason in product.absent.values())
 
 
 def test_a_file_for_other_programs_holds_no_planes_of_circles(tmp_path: Path) -> None:

@@ -1,0 +1,178 @@
+"""Light of circles in the laser image, all around them: on the belt's circles, and beside them.
+
+A coder knows of circles only where they cross rows; near its top and its bottom a circle runs along them.
+But which light lies on the belt is known all around, for the belt's circles are calibrated: so ridges of the
+image are light of the belt where they follow one of those, and light of a product where they are beside all
+of them. Single bright pixels are no ridges.
+
+On a rim that is thin, light lies within a pixel of the belt's circle, and leaves it farther inside: what
+leaves it within an outline is the product's. Fails where the light of a product follows a circle of the belt
+for long and ends there.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roemetry.records.arrays import Flags, Floats
+from roemetry.records.cones import half_on_belt
+from roemetry.records.view import View
+from roemetry_volume.footprint import inside_by
+
+_SMOOTH_PX = 1.0
+"""Noise is averaged over about the width of a circle."""
+_WIDE_PX = 9
+"""Light beside a ridge is taken so far from it: circles are some 3 px wide, their skirts 8."""
+_ON_PX, _BESIDE_PX = 1.2, 3.0
+"""Ridges so near to a circle of the belt follow it; farther away than its skirts they are others."""
+_NOISE, _SMOOTHED = 8.0, 0.3
+"""Times the noise that a ridge rises, and how much smoothing leaves of a pixel's."""
+_BELT_SHARE, _PRODUCT_SHARE = 0.4, 0.08
+"""Of the usual height of the belt's circles: at the edge of what hides them half of it is left, and on
+flanks that light grazes a tenth."""
+_LEAST_PX = 6
+"""Shorter ridges are noise, dirt or glare."""
+_OUTSIDE_MIN_PX = 10
+"""Of a belt's ridge that enters an outline, outside of it: where a product's light crosses a circle of the
+belt, none is."""
+_STRAY_PX = 5.0
+"""Farther on an outline's wrong side lies another product's light, or what crosses a circle of the belt."""
+_FIFTH = 5
+"""Pixels by which light must lie on the wrong side: a ridge that crosses the edge has about as many there. On
+five potatoes the fifth farthest lies 0.2 to 0.8 px on the right side, product's and belt's alike: half of
+their difference is up to 0.3 px, and 0.8 px per percent of an image's scale."""
+
+
+class CircleLight(NamedTuple):
+    """Places of light in the laser image, (n, 2) px each."""
+
+    belt: Floats
+    belt_ridge: NDArray[np.int32]
+    """(n,) number of the ridge that each is on."""
+    product: Floats
+    ridge: Flags
+    """(row, column) where there is any light."""
+    leaves: Flags
+    """(row, column) where it follows no circle of the belt."""
+
+    def near(self, contour: Floats, reach_px: float) -> CircleLight:
+        """Give what of it lies so near to a contour."""
+        belt, product = (np.abs(inside_by(contour, one)) < reach_px for one in (self.belt, self.product))
+        belt &= ~self._thin(contour)
+        return self._replace(
+            belt=self.belt[belt], belt_ridge=self.belt_ridge[belt], product=self.product[product]
+        )
+
+    def _thin(self, contour: Floats) -> Flags:
+        """Say which of the belt's light is on a ridge that leaves the belt's circle within a contour."""
+        import cv2
+
+        within = np.zeros(self.ridge.shape, np.uint8)
+        cv2.fillPoly(within, [np.rint(contour).astype(np.int32)], 1)
+        within &= self.ridge
+        number = cv2.connectedComponents(within, connectivity=8)[1]
+        leaving = np.bincount(number[self.leaves & (number > 0)], minlength=number.max() + 1)
+        column, row = self.belt.astype(np.int64).T
+        return np.asarray(leaving[number[row, column]] >= _LEAST_PX)
+
+    def off_px(self, contour: Floats, shift_px: Floats) -> tuple[float, float] | None:
+        """Say how far outside a contour the product's light lies, and how far inside of it the belt's.
+
+        The contour is shifted by `shift_px` (2,). Negative: light lies on the right side. None of too little.
+        """
+        outside = -inside_by(contour, self.product - shift_px)
+        inside = inside_by(contour, self.belt - shift_px)
+        comes_in = np.bincount(self.belt_ridge[inside < 0.0], minlength=1) >= _OUTSIDE_MIN_PX
+        ridge = np.minimum(self.belt_ridge, comes_in.size - 1)
+        inside = inside[comes_in[ridge] & (ridge == self.belt_ridge)]
+        found = []
+        for side in (outside, inside):
+            near = side[side < _STRAY_PX]
+            if near.size < _FIFTH:
+                return None
+            found.append(float(np.partition(near, -_FIFTH)[-_FIFTH]))
+        return found[0], found[1]
+
+
+def circle_light(pixels: NDArray[Any], view: View) -> CircleLight:
+    """Find the light of the belt's circles and what lies beside them in a laser image (row, column)."""
+    import cv2
+
+    height = _ridges(pixels)
+    away_px = _from_belt_px(view, height.shape)
+    on_belt = height[(away_px <= _ON_PX) & (height > 0.0)]
+    if not on_belt.size:
+        nothing = np.zeros(height.shape, np.bool_)
+        return CircleLight(np.empty((0, 2)), np.empty(0, np.int32), np.empty((0, 2)), nothing, nothing)
+    # parts of circles are hidden, and noise lies there: the upper half is light
+    usual = float(np.median(on_belt[on_belt >= np.median(on_belt)]))
+    noise = _NOISE * _SMOOTHED * _noise_of(pixels)
+    belt = (away_px <= _ON_PX) & (height > max(_BELT_SHARE * usual, noise))
+    beside = (away_px > _BESIDE_PX) & (height > max(_PRODUCT_SHARE * usual, noise))
+    number = cv2.connectedComponents(belt.astype(np.uint8), connectivity=8)[1]
+    ridge = height > max(_PRODUCT_SHARE * usual, noise)
+    return CircleLight(
+        _places(belt),
+        number[belt].astype(np.int32),
+        _places(_long(beside)),
+        ridge,
+        ridge & (away_px > _ON_PX),
+    )
+
+
+def _ridges(pixels: NDArray[Any]) -> NDArray[np.float32]:
+    """Give (row, column) by how much ridges rise over light beside them, along rows or columns; else 0."""
+    import cv2
+
+    # a median takes single bright pixels away, and leaves lines
+    level = cv2.medianBlur(np.ascontiguousarray(pixels).astype(np.float32), 3)
+    level = cv2.GaussianBlur(level, (0, 0), _SMOOTH_PX)
+    height = np.zeros(level.shape, np.float32)
+    for axis in (0, 1):
+        size = level.shape[axis]
+        wide = np.pad(level, [(_WIDE_PX, _WIDE_PX) if axis == k else (0, 0) for k in (0, 1)], mode="edge")
+
+        def beside(step: int, wide: NDArray[np.float32] = wide, axis: int = axis, size: int = size) -> Any:
+            return np.take(wide, range(_WIDE_PX + step, _WIDE_PX + step + size), axis)
+
+        top = np.logical_and.reduce([level >= beside(step) for step in (-2, -1, 1, 2)])
+        rise = level - np.maximum(beside(-_WIDE_PX), beside(_WIDE_PX))
+        height = np.maximum(height, np.where(top, rise, np.float32(0.0)))
+    return np.asarray(height)
+
+
+def _noise_of(pixels: NDArray[Any]) -> float:
+    """Give the noise of a pixel, grey levels: light varies smoothly over three pixels nearly everywhere."""
+    level = pixels.astype(np.float32)
+    bend = level[:, :-2] - 2.0 * level[:, 1:-1] + level[:, 2:]
+    return 1.4826 * float(np.median(np.abs(bend))) / math.sqrt(6.0)
+
+
+def _from_belt_px(view: View, size: tuple[int, ...]) -> NDArray[np.float32]:
+    """Give (row, column) distance from the nearest circle of the belt, px."""
+    import cv2
+
+    away = np.full(size, 255, np.uint8)
+    for cone in view.cones:
+        place = view.project(half_on_belt(cone, view.T_belt_camera[:3, 0]))
+        place = place[np.isfinite(place).all(axis=1)]
+        cv2.polylines(away, [np.rint(place).astype(np.int32)], False, 0, 1)
+    return np.asarray(cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+
+
+def _long(ridges: Flags) -> Flags:
+    """Leave out short ones."""
+    import cv2
+
+    _, number, about, _ = cv2.connectedComponentsWithStats(ridges.astype(np.uint8), connectivity=8)
+    long = about[:, cv2.CC_STAT_AREA] >= _LEAST_PX
+    long[0] = False
+    return np.asarray(long[number])
+
+
+def _places(where: Flags) -> Floats:
+    return np.asarray(np.argwhere(where)[:, ::-1], np.float64)
