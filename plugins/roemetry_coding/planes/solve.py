@@ -139,7 +139,8 @@ def build_problem(peaks: Peaks, calibration: Calibration, rest: RestLines, reach
     u_per_px = float(np.nanmedian(lines.u_max - lines.u_min)) / peaks.image_size[1]
     ties = WEIGHTS.tie_whole, WEIGHTS.tie_cut, WEIGHTS.tie_gap
     loose = pieces.rest[pieces.of] == ENDS
-    entries = entries_of(pieces.trace, pieces.of, loose, lines, u_per_px, ties, _GAP_LINES)
+    belt = pieces.rest[pieces.of] != -1
+    entries = entries_of(pieces.trace, pieces.of, loose, belt, lines, u_per_px, ties, _GAP_LINES)
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     low_mm, high_mm = calibration.height_range_mm
     # belt that lies on its rest line from the image's border on is no product out of range: that saves time
