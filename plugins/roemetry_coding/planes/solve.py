@@ -49,7 +49,8 @@ from roemetry_coding.planes.pieces import (
     presence_of,
     relative_light,
 )
-from roemetry_coding.planes.shifts import cheapest_shifts
+from roemetry_coding.planes.shifts import cheapest_shifts, shift_labels
+from roemetry_coding.planes.whole_bodies import whole_body_shifts
 from roemetry_kernels.compiling import inlined, kernel
 from roemetry_kernels.rest_lines import RestLines
 from roemetry_kernels.tracing import cut_at_rest_lines, trace_fragments
@@ -83,6 +84,10 @@ _ANCHOR_ROWS = 25
 _BELOW_TOLERANCES = 1.5
 """How far below the belt a point may be, in tolerances of a rest line."""
 _SHIFT_GAIN = 6.0
+_BODY_MOVES_MAX = 3
+"""Bodies that were moved are looked at again so often: one move is usual, none on most frames."""
+_BODY_GAIN = 0.05
+"""A body is moved where that is cheaper by as much on each line; less is no difference."""
 _ROUNDS = 2
 """Sweeps are repeated up to twice with the labels found by shifts cheaper by as much as a false peak."""
 _EMPTY = 3.0
@@ -190,9 +195,23 @@ def _pieces(peaks: Peaks, rest: RestLines, lines: EpipolarLines) -> tuple[Pieces
 
 
 def _shifted(problem: Problem, best: Integers) -> tuple[Integers, Floats, bool]:
-    return cheapest_shifts(
-        problem.entries, problem.candidates, problem.pieces.of, best, problem.own, problem.costs, WEIGHTS
-    )
+    """Shift runs and whole bodies; give nodes, evidence, and whether anything was shifted."""
+    entries, candidates, own, costs = problem.entries, problem.candidates, problem.own, problem.costs
+    moved = False
+    for _ in range(_BODY_MOVES_MAX):
+        best, evidence, shifted, runs = cheapest_shifts(
+            entries, candidates, problem.pieces.of, best, own, costs, WEIGHTS
+        )
+        dearer, by = whole_body_shifts(
+            entries, candidates, problem.pieces.line, best, runs, own, costs, WEIGHTS
+        )
+        evidence = np.where(runs.of >= 0, np.minimum(evidence, dearer[runs.of]), evidence)
+        by = np.where(dearer < -_BODY_GAIN, by, 0)
+        moved = moved or shifted or bool(by.any())
+        if not by.any():
+            break
+        best = shift_labels(candidates, best, np.where(runs.of >= 0, by[runs.of], 0))
+    return best, evidence, moved
 
 
 def _min_marginals(problem: Problem, own: Floats) -> Floats:
