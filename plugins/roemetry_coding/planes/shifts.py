@@ -15,6 +15,7 @@ the truth, if it is not the labels at hand, is most often these labels with one 
 A run is sure only as far as every such shift that it is part of is dear.
 
 Fails where the truth differs by two stripes or by several independent shifts: the evidence is then too large.
+Of whole bodies `whole_bodies` asks that.
 """
 
 from __future__ import annotations

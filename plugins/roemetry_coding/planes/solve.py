@@ -9,14 +9,14 @@ each way (Kolmogorov, IEEE PAMI 28, 2006), truncated at the tie.
 
 A piece of a trace is one stripe, so each takes the label that is cheapest for the whole of it. What such
 sweeps leave wrong are whole groups of runs, shifted by one stripe: `shifts` moves them where that lowers the
-exact energy, and the sweeps are repeated about what it found.
+exact energy, `whole_bodies` moves all of a body, and the sweeps are repeated about what they found.
 
 Evidence of a label: what the cheapest shift of its run, with all that must go along, would cost on each line
 that is touched (`shifts`); for a short run of few peaks less, since its ends weigh more. Labels in doubt may
 prop up others: the evidence is taken once more without them, twice.
 
-Fails where several groups would have to move at once to lower the energy, or where shifts by two stripes are
-the alternative: those are looked for in level bodies only (`vetoes`).
+Fails where several groups would have to move at once to lower the energy, or where shifts of parts of a body
+by two stripes are the alternative: those are looked for in level bodies only (`vetoes`).
 """
 
 from __future__ import annotations
