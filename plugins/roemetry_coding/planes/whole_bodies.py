@@ -30,6 +30,8 @@ _LOST_SHARE_MAX = 0.25
 """Of a body that is moved, more entries without a possible height are no body there: below the belt, or above
 what heights are looked for."""
 
+_AGAINST_SHARE_MAX = 0.5
+"""Where order speaks against a shift on more of the lines, it does against farther ones the same way."""
 _TIED_LINES = 20
 """Ties reach over gaps of so many lines."""
 
@@ -65,7 +67,7 @@ def whole_body_shifts(
     still = np.empty(lines)
     zero = np.zeros(best.shape[0], np.int64)
     for e in range(lines):
-        still[e] = _cost_of(e, zero, entries, candidates, best, own, costs, weights)
+        still[e] = _cost_of(e, zero, entries, candidates, best, own, costs, weights)[0]
     move = np.empty(best.shape[0], np.int64)
     crossed = np.empty(lines, np.bool_)
     for b in range(bodies):
@@ -79,25 +81,28 @@ def whole_body_shifts(
         if size < _ENTRIES_MIN:
             continue
         least, to = np.inf, 0
-        for k in range(-_REACH, _REACH + 1):
-            if k == 0:
-                continue
-            lost = 0
-            for i in range(best.shape[0]):
-                move[i] = 0
-                if runs.of[i] >= 0 and body[runs.of[i]] == b:
-                    move[i] = k
-                    lost += not 0 <= best[i] + k - offset[i] < count[i]
-            if lost > _LOST_SHARE_MAX * size:
-                continue
-            change, wide, last = 0.0, 0, -_TIED_LINES - 1
-            for e in range(lines):
-                if crossed[e]:
-                    wide, last = wide + 1, e
-                if e - last <= _TIED_LINES:
-                    change += _cost_of(e, move, entries, candidates, best, own, costs, weights) - still[e]
-            if change / wide < least:
-                least, to = change / wide, k
+        for way in (-1, 1):
+            for far in range(1, _REACH + 1):
+                lost = 0
+                for i in range(best.shape[0]):
+                    move[i] = 0
+                    if runs.of[i] >= 0 and body[runs.of[i]] == b:
+                        move[i] = way * far
+                        lost += not 0 <= best[i] + move[i] - offset[i] < count[i]
+                if lost > _LOST_SHARE_MAX * size:
+                    break
+                change, wide, against, last = 0.0, 0, 0, -_TIED_LINES - 1
+                for e in range(lines):
+                    if crossed[e]:
+                        wide, last = wide + 1, e
+                    if e - last <= _TIED_LINES:
+                        cost, disorder = _cost_of(e, move, entries, candidates, best, own, costs, weights)
+                        change += cost - still[e]
+                        against += disorder > 0
+                if change / wide < least:
+                    least, to = change / wide, way * far
+                if against > _AGAINST_SHARE_MAX * wide:
+                    break
         for f in range(runs.stripe.shape[0]):
             if body[f] == b:
                 dearer[f], by[f] = least, to
@@ -137,11 +142,11 @@ def _bodies(entries: Entries, line: Integers, runs: Runs) -> tuple[Integers, int
 def _cost_of(
     e: int, move: Integers, entries: Entries, candidates: Candidates, best: Integers, own: Floats,
     costs: PairCosts, weights: Weights,
-) -> float:  # fmt: skip
-    """Cost of line e, and of its ties to lines before, with entries moved by so many stripes."""
+) -> tuple[float, int]:  # fmt: skip
+    """Cost of line e, and of its ties to lines before, with entries moved; neighbours out of order there."""
     start, before_entry = entries.start, entries.before
     low, count, offset = candidates.low, candidates.many, candidates.offset
-    cost, last, last_k, n = 0.0, -1, 0, costs.pair_start[e]
+    cost, disorder, last, last_k, n = 0.0, 0, -1, 0, costs.pair_start[e]
     for p in range(start[e], start[e + 1]):
         k = best[p] - offset[p]
         if k < count[p]:
@@ -159,6 +164,7 @@ def _cost_of(
             cost += weights.unseen * costs.before[offset[p] + k]
         elif low[last] + last_k >= low[p] + k:
             cost += DISORDER
+            disorder += 1
         else:
             while n < costs.pair_start[e + 1] and (
                 costs.pair[n, 1] < p or (costs.pair[n, 1] == p and costs.pair[n, 0] < last)
@@ -172,4 +178,4 @@ def _cost_of(
         last, last_k = p, k
     if last >= 0:
         cost += weights.unseen * costs.after[offset[last] + last_k]
-    return float(cost)
+    return float(cost), disorder
