@@ -79,6 +79,9 @@ RULES: dict[str, list[tuple[Any, str, Any]]] = {
     "shifts: single runs first": [
         (shifts, "single_shifts", lambda runs, gain: np.zeros(runs.own.shape[0], np.int64))
     ],
+    "shifts: whole bodies": [
+        (solve, "whole_body_shifts", lambda *of: (np.full(of[4].stripe.size, np.inf), 0 * of[4].stripe))
+    ],
     "ties over gaps": [(solve, "_GAP_LINES", 0)],
     **{f"cost {name}": without_term(name) for name in (
         "surface", "unseen", "faint", "on_rest", "anchor", "on_end", "film", "absent", "tie_cut",

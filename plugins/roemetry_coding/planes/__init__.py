@@ -10,6 +10,7 @@ something. In the order in which a frame passes through:
     graph    what each peak may be, and what labels and neighbours cost: the energy
     solve    the cheapest labels, exact on every line, made to agree along the traces
     shifts   whole groups of runs moved by one stripe: to lower the energy, and to ask how sure a label is
+    whole_bodies   the same of whole bodies, by up to three stripes
     vetoes   what is refused although the energy prefers it
     decide   verdicts and margins
 

@@ -224,9 +224,8 @@ def pair_costs_of(
     slope = _slopes(entries, candidates, plane)
     n, c = 0, 0
     for e in range(count_lines):
+        rising = _rising(plane[e])
         for p in range(start[e], start[e + 1]):
-            # stripes rise to the right where a higher one gives a greater height at the same place
-            rising = _height(plane[e, plane.shape[1] - 1], u[p]) > _height(plane[e, 0], u[p])
             for q in range(max(start[e], p - _LOOK_BACK), p):
                 pair[n, 0], pair[n, 1], pair[n, 2] = q, p, c
                 n += 1
@@ -382,6 +381,17 @@ def _left_out(
 @inlined
 def _height(plane: Floats, u: float) -> float:
     return (plane[0] * u + plane[1]) / (plane[2] * u + plane[3])
+
+
+@inlined
+def _rising(planes: Floats) -> bool:
+    """Say whether a higher stripe gives a greater height at the same place of a line.
+
+    Asked of two neighbours on the belt: a line of sight runs away from planes far off its own, which it would
+    meet behind the camera, and what it says of those is the opposite.
+    """
+    k = planes.shape[0] // 2
+    return planes.shape[0] > 1 and _height(planes[k], _place(planes[k - 1], 0.0)) > 0.0
 
 
 @inlined

@@ -15,7 +15,9 @@ rows.
 A trace (peaks joined from row to row) crosses many lines and has one entry on each: its peak nearest there.
 Entries of one trace on neighbouring lines are tied: another stripe from one line to the next costs
 `tie_whole` within a piece, `tie_cut` where the trace was cut, and up to `tie_gap` over a gap if the two ends
-point at each other.
+point at each other. Ends of belt and of a body that do are tied little more than at a cut: the rim of a round
+body may stand as high all round as displaces a stripe by one spacing, and then each of its stripes goes on
+from its neighbour's belt. That is one coincidence, not one for each stripe.
 
 Assumes camera and planes of light in one frame, belt at z = 0. Without a projector's centre the planes'
 common point nearest to the camera stands for it; with parallel planes, a telecentric view or no view at all,
@@ -112,7 +114,7 @@ def epipolar_lines(peaks: Peaks, calibration: Calibration, rest_px: Floats) -> E
 
 @kernel
 def entries_of(
-    trace: Integers, piece: Integers, loose: Flags, lines: EpipolarLines, u_per_px: float,
+    trace: Integers, piece: Integers, loose: Flags, belt: Flags, lines: EpipolarLines, u_per_px: float,
     ties: tuple[float, float, float], gap_lines: int,
 ) -> Entries:  # fmt: skip
     """Put every trace once on each line that it crosses, and tie it to itself across lines.
@@ -123,6 +125,8 @@ def entries_of(
         (peak,) trace; and which piece of the trace between cuts.
     loose
         (peak,) True where a piece may change its stripe from row to row.
+    belt
+        (peak,) True where a piece follows a rest line, or was cut off from one that does.
     lines
         The peaks' places.
     u_per_px
@@ -164,7 +168,7 @@ def entries_of(
                 k -= 1
             place[k], peak[k] = u[p], p
             fill[e] += 1
-    up, down, tie = _tied(start, peak, place, trace, piece, loose, u_per_px, ties, gap_lines)
+    up, down, tie = _tied(start, peak, place, trace, piece, loose, belt, u_per_px, ties, gap_lines)
     return Entries(start, peak, place, up, down, tie)
 
 
@@ -356,7 +360,7 @@ def _neighbours(trace: Integers) -> tuple[Integers, Integers]:
 @kernel
 def _tied(
     start: Integers, peak: Integers, place: Floats, trace: Integers, piece: Integers, loose: Flags,
-    u_per_px: float, ties: tuple[float, float, float], gap_lines: int,
+    belt: Flags, u_per_px: float, ties: tuple[float, float, float], gap_lines: int,
 ) -> tuple[Integers, Integers, Floats]:  # fmt: skip
     tie_whole, tie_cut, tie_gap = ties
     size = peak.shape[0]
@@ -374,7 +378,7 @@ def _tied(
                 whole = piece[peak[i]] == piece[peak[j]] and not loose[peak[i]]
                 tie[i] = tie_whole if whole else tie_cut
             last[trace[peak[i]]] = i
-    # over gaps: from a beginning back to the end that points at it best
+    # over gaps: from a beginning back to the end that points at it best; at a rim that says little
     for e in range(start.shape[0] - 1):
         for i in range(start[e], start[e + 1]):
             if up[i] >= 0:
@@ -394,7 +398,9 @@ def _tied(
                     break
             if found >= 0:
                 up[i], down[found] = found, i
-                tie[i] = _TIE_LOOSE + tie_gap * (1.0 - best)
+                tie[i] = _TIE_LOOSE
+                if belt[peak[i]] == belt[peak[found]]:
+                    tie[i] += tie_gap * (1.0 - best)
     return up, down, tie
 
 

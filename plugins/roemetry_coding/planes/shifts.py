@@ -15,6 +15,7 @@ the truth, if it is not the labels at hand, is most often these labels with one 
 A run is sure only as far as every such shift that it is part of is dear.
 
 Fails where the truth differs by two stripes or by several independent shifts: the evidence is then too large.
+Of whole bodies `whole_bodies` asks that.
 """
 
 from __future__ import annotations
@@ -38,10 +39,10 @@ OUT = 1000
 _SMALL_COST = 72.0
 """A run that costs no more to leave out is left out before all behind it give way: twelve false peaks as
 bright as those beside them, or more that are faint."""
-_DISORDER = 8.0
+DISORDER = 8.0
 """Cost of two neighbours out of order on a line: that of leaving one of them out there, as a false peak. What
 lies beyond a body's edge by the light's spread is in the trace of what it spread from."""
-_IMPOSSIBLE = 20.0
+IMPOSSIBLE = 20.0
 """Cost of a stripe that an entry cannot be, and of neighbours too far apart to be compared."""
 _OVERLAP_LINES = 4
 """Two runs out of order on so few lines need not give way."""
@@ -78,7 +79,7 @@ class Runs(NamedTuple):
 def cheapest_shifts(
     entries: Entries, candidates: Candidates, piece: Integers, best: Integers, own: Floats, costs: PairCosts,
     weights: Weights,
-) -> tuple[Integers, Floats, bool]:  # fmt: skip
+) -> tuple[Integers, Floats, bool, Runs]:  # fmt: skip
     """Shift runs of one stripe as long as that lowers the energy.
 
     Parameters
@@ -94,12 +95,12 @@ def cheapest_shifts(
     -------
     tuple
         (entry,) nodes; (entry,) what the cheapest shift that an entry's run is part of would cost, a line;
-        and whether anything was shifted.
+        whether anything was shifted; and the runs of these nodes.
     """
     moved = False
     evidence = np.zeros(best.size)
+    runs = runs_of(entries, candidates, piece, best, own, costs, weights)
     for _ in range(_SHIFTS_MAX):
-        runs = runs_of(entries, candidates, piece, best, own, costs, weights)
         by = single_shifts(runs, _GAIN_MIN)
         if not by.any():
             dearer, by = shifts_of(runs, entries.start.size - 1, _GAIN_MIN)
@@ -108,7 +109,8 @@ def cheapest_shifts(
                 break
         moved = True
         best = shift_labels(candidates, best, np.where(runs.of >= 0, by[runs.of], 0))
-    return best, evidence, moved
+        runs = runs_of(entries, candidates, piece, best, own, costs, weights)
+    return best, evidence, moved, runs
 
 
 def evidence_without(
@@ -173,7 +175,7 @@ def runs_of(
                     if last < 0:
                         alone[f, a] += weights.unseen * before[offset[p] + k]
                 else:
-                    alone[f, a] += _IMPOSSIBLE
+                    alone[f, a] += IMPOSSIBLE
             if q >= 0 and of[q] >= 0 and of[q] != f:
                 t = np.searchsorted(key, of[q] * runs + f)
                 for a in range(_WAYS):
@@ -190,14 +192,14 @@ def runs_of(
                     for b in range(_WAYS):
                         k = stripe[f] + b - _ASIDE - low[p]
                         if stripe[of[last]] + a >= stripe[f] + b:
-                            both[t, a, b] += _DISORDER
+                            both[t, a, b] += DISORDER
                             disorder[t, a, b] += 1
                         elif not near:
-                            both[t, a, b] += _IMPOSSIBLE
+                            both[t, a, b] += IMPOSSIBLE
                         elif 0 <= k < count[p] and 0 <= h < count[last]:
                             c = pair[n, 2] + k * count[last] + h
                             step = weights.surface * surface[c] + weights.unseen * unseen[c]
-                            both[t, a, b] += min(step, _IMPOSSIBLE)
+                            both[t, a, b] += min(step, IMPOSSIBLE)
             last = p
         if last >= 0:
             for a in range(_WAYS):

@@ -9,14 +9,14 @@ each way (Kolmogorov, IEEE PAMI 28, 2006), truncated at the tie.
 
 A piece of a trace is one stripe, so each takes the label that is cheapest for the whole of it. What such
 sweeps leave wrong are whole groups of runs, shifted by one stripe: `shifts` moves them where that lowers the
-exact energy, and the sweeps are repeated about what it found.
+exact energy, `whole_bodies` moves all of a body, and the sweeps are repeated about what they found.
 
 Evidence of a label: what the cheapest shift of its run, with all that must go along, would cost on each line
 that is touched (`shifts`); for a short run of few peaks less, since its ends weigh more. Labels in doubt may
 prop up others: the evidence is taken once more without them, twice.
 
-Fails where several groups would have to move at once to lower the energy, or where shifts by two stripes are
-the alternative: those are looked for in level bodies only (`vetoes`).
+Fails where several groups would have to move at once to lower the energy, or where shifts of parts of a body
+by two stripes are the alternative: those are looked for in level bodies only (`vetoes`).
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ from roemetry_coding.planes.pieces import (
     presence_of,
     relative_light,
 )
-from roemetry_coding.planes.shifts import cheapest_shifts
+from roemetry_coding.planes.shifts import cheapest_shifts, shift_labels
+from roemetry_coding.planes.whole_bodies import whole_body_shifts
 from roemetry_kernels.compiling import inlined, kernel
 from roemetry_kernels.rest_lines import RestLines
 from roemetry_kernels.tracing import cut_at_rest_lines, trace_fragments
@@ -86,6 +87,10 @@ _ANCHOR_ROWS = 25
 _BELOW_TOLERANCES = 1.5
 """How far below the belt a point may be, in tolerances of a rest line."""
 _SHIFT_GAIN = 6.0
+_BODY_MOVES_MAX = 3
+"""Bodies that were moved are looked at again so often: one move is usual, none on most frames."""
+_BODY_GAIN = 0.05
+"""A body is moved where that is cheaper by as much on each line; less is no difference."""
 _ROUNDS = 2
 """Sweeps are repeated up to twice with the labels found by shifts cheaper by as much as a false peak."""
 _EMPTY = 3.0
@@ -142,7 +147,8 @@ def build_problem(peaks: Peaks, calibration: Calibration, rest: RestLines, reach
     u_per_px = float(np.nanmedian(lines.u_max - lines.u_min)) / peaks.image_size[1]
     ties = WEIGHTS.tie_whole, WEIGHTS.tie_cut, WEIGHTS.tie_gap
     loose = pieces.rest[pieces.of] == ENDS
-    entries = entries_of(pieces.trace, pieces.of, loose, lines, u_per_px, ties, _GAP_LINES)
+    belt = pieces.rest[pieces.of] != -1
+    entries = entries_of(pieces.trace, pieces.of, loose, belt, lines, u_per_px, ties, _GAP_LINES)
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     low_mm, high_mm = calibration.height_range_mm
     # belt that lies on its rest line from the image's border on is no product out of range: that saves time
@@ -196,9 +202,23 @@ def _pieces(peaks: Peaks, rest: RestLines, lines: EpipolarLines) -> tuple[Pieces
 
 
 def _shifted(problem: Problem, best: Integers) -> tuple[Integers, Floats, bool]:
-    return cheapest_shifts(
-        problem.entries, problem.candidates, problem.pieces.of, best, problem.own, problem.costs, WEIGHTS
-    )
+    """Shift runs and whole bodies; give nodes, evidence, and whether anything was shifted."""
+    entries, candidates, own, costs = problem.entries, problem.candidates, problem.own, problem.costs
+    moved = False
+    for _ in range(_BODY_MOVES_MAX):
+        best, evidence, shifted, runs = cheapest_shifts(
+            entries, candidates, problem.pieces.of, best, own, costs, WEIGHTS
+        )
+        dearer, by = whole_body_shifts(
+            entries, candidates, problem.pieces.line, best, runs, own, costs, WEIGHTS
+        )
+        evidence = np.where(runs.of >= 0, np.minimum(evidence, dearer[runs.of]), evidence)
+        by = np.where(dearer < -_BODY_GAIN, by, 0)
+        moved = moved or shifted or bool(by.any())
+        if not by.any():
+            break
+        best = shift_labels(candidates, best, np.where(runs.of >= 0, by[runs.of], 0))
+    return best, evidence, moved
 
 
 def _min_marginals(problem: Problem, own: Floats) -> Floats:
