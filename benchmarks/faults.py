@@ -189,7 +189,8 @@ class _Disturbed:
             if scene.lines is None
             else of_frames(scene, name, size, [self._seed, number])
         )
-        scene = scene._replace(true_mm3=scene.shown_mm3(images[0]))
+        if "another" in name:
+            scene = scene._replace(true_mm3=scene.shown_mm3(images[0]))
         return against(judged(recipe, scene, *images), self._base[place], word, name, size)
 
 

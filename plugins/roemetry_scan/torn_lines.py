@@ -36,8 +36,12 @@ which its neighbours stand for."""
 _ON_END = 0.8
 """Of these, what follows each other: where light is faint, points are missing here and there all along. Where
 half of 20 points are missing, they do in 2 of 1,000 draws."""
+_CLEAR = 0.8
+"""Of the way from the first to the last of them: where both neighbours miss more, light is faint."""
 _END_ROWS, _END_SCATTERS = 1.5, 8.0
 """Rows that a line's end lies away from the middle of those around it, at least, and times their scatter."""
+_PART_ROWS = 20
+"""Rows on end that are a part of a line, whose end counts; fewer may be the end of another one."""
 _AT_ONCE = 128
 """Lines that are looked at together: copies of all of a long scan's heights are megabytes."""
 _SAMPLED = 64
@@ -73,11 +77,33 @@ def torn_lines(height_mm: Floats, oblique_rows: int) -> Flags:
         unseen = np.isnan(part[1:-1])
         many = (both & unseen).sum(axis=1)
         for k in np.flatnonzero(many > np.maximum(_UNSEEN_MIN, _UNSEEN_SHARE * both.sum(axis=1))).tolist():
-            found[first + k] |= _longest_run(unseen[k, both[k]]) >= _ON_END * many[k]
-    seen = np.isfinite(height_mm)
-    for ends in (seen.argmax(axis=1), rows - 1 - seen[:, ::-1].argmax(axis=1)):
-        found |= _astray(np.where(seen.any(axis=1), ends, np.nan))
+            asked = np.flatnonzero(both[k])
+            clear = asked.size >= _CLEAR * (asked[-1] - asked[0] + 1)
+            found[first + k] |= clear and _longest_run(unseen[k, asked]) >= _ON_END * many[k]
+    for end in _ends_of_parts(height_mm):
+        found |= _astray(end)
     return found
+
+
+def _ends_of_parts(height_mm: Floats) -> tuple[Floats, Floats]:
+    """Give the first and the last row (line,) of what is seen for `_PART_ROWS` on end; NaN where nothing is.
+
+    Where rows were lost and the frame was filled up with its last ones, these show the line's end once more.
+    """
+    import cv2
+
+    lines, rows = height_mm.shape
+    part, between = (np.ones((1, min(size, rows)), np.uint8) for size in (_PART_ROWS, _RUN))
+    first, last = np.full(lines, np.nan), np.full(lines, np.nan)
+    for begin in range(0, lines, _AT_ONCE):
+        some = slice(begin, begin + _AT_ONCE)
+        seen = np.isfinite(height_mm[some]).astype(np.uint8)
+        seen = cv2.morphologyEx(seen, cv2.MORPH_CLOSE, between)  # single points may be missing
+        seen = cv2.morphologyEx(seen, cv2.MORPH_OPEN, part)
+        any_seen = seen.any(axis=1)
+        first[some] = np.where(any_seen, seen.argmax(axis=1), np.nan)
+        last[some] = np.where(any_seen, rows - 1 - seen[:, ::-1].argmax(axis=1), np.nan)
+    return first, last
 
 
 def _astray(end: Floats) -> Flags:
