@@ -15,7 +15,7 @@ from roemetry_kernels.compiling import kernel
 from roemetry_kernels.image_levels import median_of
 from roemetry_volume import slice_rules as rules
 from roemetry_volume.slice_rules import Cap, cap_of
-from roemetry_volume.slice_table import FILLED, HOLE, LOW, Slices, slices_of
+from roemetry_volume.slice_table import COUNT, FILLED, HOLE, LOW, WALL, Slices, slices_of
 from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume, underside_reasons
 
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/slice-pchip.md
@@ -23,6 +23,8 @@ _BETWEEN = 0.38  # of what leaving a slice out changes: with it, the gap is half
 _CUBICS_APART = 1.3  # a rectangle's half width over its standard deviation would be 1.73
 _AREAS_STD = 0.003  # of the volume: walls and ends of the slices themselves, however many there are
 _LOOSE = 1.0 / math.sqrt(3.0)  # of what is bridged beyond a slice's seen points: none of it, or twice as much
+_EDGE_ROWS = 0.3
+"""As in scans: a blurred stripe loses rows at all of its ends alike (a fillet out of focus by 2 px: 0.8)."""
 _OVER_GAP = 0.1  # of what a straight line fills: a dome rises over it by some tenth
 _IN_HOLE = 1.0 / math.sqrt(3.0)  # of what a straight line over a hole would hold: it may not be empty
 
@@ -74,6 +76,7 @@ class SlicePchip(VolumeEstimator[UndersideOptions]):
         budget = {
             "between slices": math.hypot(uneven, _AREAS_STD * volume),
             "slice ends": _LOOSE * float(slices.loose_mm2 @ slices.held_mm),
+            "slice edges": _edges_std(slices),
             "gaps": gaps_std(slices),
             "ends": math.hypot(caps[0].std_mm3, caps[1].std_mm3),
             "common height": common_height_std_mm(product) * self._footprint_mm2(slices, caps),
@@ -128,6 +131,13 @@ class SliceTrapezoid(SlicePchip):
         from scipy.integrate import trapezoid  # numpy has it from 2.0 on only
 
         return float(trapezoid(area_mm2, t_mm))
+
+
+def _edges_std(slices: Slices) -> float:
+    """Say what all slices may be too long or too short together, by `_EDGE_ROWS` at each end, mm³."""
+    row_mm = slices.width_mm / slices.table[:, COUNT]
+    ends_mm = 2.0 * np.sqrt(slices.table[:, WALL])
+    return _EDGE_ROWS * float((ends_mm * row_mm) @ slices.held_mm)
 
 
 def _between_std(t_mm: Floats, area_mm2: Floats, slope: Floats, between: float) -> float:
