@@ -50,7 +50,7 @@ from roemetry_coding.planes.pieces import (
     presence_of,
     relative_light,
 )
-from roemetry_coding.planes.shifts import cheapest_shifts, shift_labels
+from roemetry_coding.planes.shifts import cheapest_shifts, of_entries, shift_labels
 from roemetry_coding.planes.whole_bodies import whole_body_shifts
 from roemetry_kernels.compiling import inlined, kernel
 from roemetry_kernels.rest_lines import RestLines
@@ -212,12 +212,12 @@ def _shifted(problem: Problem, best: Integers) -> tuple[Integers, Floats, bool]:
         dearer, by = whole_body_shifts(
             entries, candidates, problem.pieces.line, best, runs, own, costs, WEIGHTS
         )
-        evidence = np.where(runs.of >= 0, np.minimum(evidence, dearer[runs.of]), evidence)
+        evidence = np.minimum(evidence, of_entries(runs, dearer, np.inf))
         by = np.where(dearer < -_BODY_GAIN, by, 0)
         moved = moved or shifted or bool(by.any())
         if not by.any():
             break
-        best = shift_labels(candidates, best, np.where(runs.of >= 0, by[runs.of], 0))
+        best = shift_labels(candidates, best, of_entries(runs, by, 0))
     return best, evidence, moved
 
 
