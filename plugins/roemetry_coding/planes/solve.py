@@ -67,8 +67,8 @@ _FLICKER_ROWS = 3
 _BARE_ROWS = 20
 """A rest line is bare where nothing lies on it for so many rows on end: as long a gap as coders bridge."""
 _FOUND_MAX = 0.99
-"""A stripe found in this share of the rows is as good as always found: 1 − e⁻⁴ = 0.982 gives `unseen` = 4, the
-full weight."""
+"""A stripe found in this share of the rows is as good as always found: 1 − e⁻⁴ = 0.982 gives 4, the full
+weight `unseen`."""
 _END_ROWS = 8
 """Cut off where a belt ends amid the image: a body may have begun within the tolerance, rows."""
 _BORDER_ROWS = 12
