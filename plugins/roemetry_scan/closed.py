@@ -237,6 +237,8 @@ def closed_volume(
 def _rim_of(y: Floats, upper: Floats, lower: Floats) -> float:
     """Give the height at which the flanks that both heads see meet, mm; the middle of their ends if nowhere.
 
+    Where no section has points of both sides, the mean of the upper one.
+
     Each flank is a conic over the rim (`roemetry_scan.flanks`): a rim set too high lets those of the upper
     side end too far in and those of the lower side too far out.
     """
