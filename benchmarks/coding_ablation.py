@@ -49,8 +49,8 @@ def nothing(size_of: int) -> Any:
 
 
 def without_term(name: str) -> list[tuple[Any, str, Any]]:
-    """Give the weights without one term."""
-    weights = graph.WEIGHTS._replace(**{name: 0.0})
+    """Give the weights without one term: next to nothing of it, for shares of a term are taken too."""
+    weights = graph.WEIGHTS._replace(**{name: 1e-9})
     return [(solve, "WEIGHTS", weights), (decide, "WEIGHTS", weights)]
 
 
@@ -63,6 +63,7 @@ RULES: dict[str, list[tuple[Any, str, Any]]] = {
     "veto unexplained gaps": [
         (decide, "refuse_unexplained_gaps", lambda peaks, stripe, *_, **__: (stripe, []))
     ],
+    "veto denies_belt": [(decide, "denies_belt", nothing(2))],
     "veto going_on": [(decide, "going_on", nothing(0))],
     "veto left_over": [(decide, "left_over", nothing(0))],
     "evidence: few labels of a trace count less": [(decide, "_SMALL_COUNT", 1.0)],
@@ -81,6 +82,9 @@ RULES: dict[str, list[tuple[Any, str, Any]]] = {
     ],
     "shifts: whole bodies": [
         (solve, "whole_body_shifts", lambda *of: (np.full(of[4].stripe.size, np.inf), 0 * of[4].stripe))
+    ],
+    "cost unseen: by how often a stripe is found": [
+        (solve, "found_share", lambda row, line, stripes, *_: np.ones(stripes))
     ],
     "ties over gaps": [(solve, "_GAP_LINES", 0)],
     **{f"cost {name}": without_term(name) for name in (

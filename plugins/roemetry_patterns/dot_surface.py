@@ -273,7 +273,7 @@ def _scene_of(product: Product) -> _Scene:
         raise StageError(
             "no outline was found, or none that agrees with the light: between circles, and where they run "
             "along rows, no point shows where the product ends",
-            hint="look at the plain-light image, and take both again",
+            hint="look at the plain-light image, and take both again; a recipe without an outliner has none",
         )
     if outline is None or view is None:
         hull = _hull(every_xy)

@@ -37,8 +37,8 @@ _EDGE_MM = 0.15
 _NOISE_FACTOR = 4.0
 """Standard deviations above the belt from which a point is no noise."""
 _EDGE_POINTS, _EDGE_SHARE = 3, 0.3
-"""Points that a cut-off line may lift at the far edge of a shadow, and how high they are at most, of what is
-seen behind the shadow."""
+"""Points that a cut-off line may lift at the far edge of a shadow, and how high they are at most, as a share
+of the product's height at the other edge of the shadow."""
 
 
 class BeltOptions(StageOptions):

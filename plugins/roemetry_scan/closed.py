@@ -8,8 +8,9 @@ Flanks that a head does not see are followed to it (`roemetry_scan.flanks`): tho
 as far as the upper head sees no belt. Beyond the first and last section areas fall as an ellipsoid's do.
 
 Uncertainty: `registration` its standard uncertainty across the heads, times the footprint; `flanks` what was
-followed, as of one-sided scans; `unseen rim` a fifth of what lies beyond the curves' ends; `between sections`
-what every other station changes; `motion` of both scans.
+followed, as of one-sided scans; `unseen rim` a fifth of what lies beyond the curves' ends, and what one head
+alone sees; `between sections` what every other station changes; `motion`, `damaged lines`, `belt off its
+zero` and `length of the line` as of one-sided scans: damaged lines of both, of the others the larger.
 """
 
 from __future__ import annotations
@@ -27,7 +28,10 @@ from roemetry_scan.dense import FAULTS_UNSEEN, FLANK_SHARE, TO_RIM, estimate_of
 from roemetry_scan.flanks import conic, followed_to
 from roemetry_scan.slip import resampled
 
-CAUSES = ("registration", "unseen rim", "flanks", "between sections", "motion", "damaged lines")
+CAUSES = (
+    "registration", "unseen rim", "flanks", "between sections", "motion", "damaged lines",
+    "belt off its zero", "length of the line",
+)  # fmt: skip
 """Parts of a true volume's budget."""
 _STATIONS, _ACROSS = 240, 240
 _FLANK_POINTS = 12
@@ -164,7 +168,8 @@ def closed_volume(
     Raises
     ------
     StageError
-        One head does not see it, or both see it at different places.
+        One head does not see it or a good part of it, both see it at different places, or a scan begins or
+        ends within it.
     """
     sides: list[Floats] = []
     pose = registration.T_top_bottom
@@ -206,7 +211,7 @@ def closed_volume(
         raise StageError("top and bottom enclose nothing")
     if alone > _ALONE_MAX * value:
         raise StageError(
-            f"one head sees {alone / 1000.0:.2f} cm³ of the product where the other sees nothing of it, "
+            f"one head sees {alone / 1000.0:.2f} cm³ of the product where the other sees nothing of it; "
             f"both see {value / 1000.0:.2f} cm³",
             hint="look at both scans: is the line followed everywhere, and is the registration theirs?",
         )
@@ -231,6 +236,8 @@ def closed_volume(
 
 def _rim_of(y: Floats, upper: Floats, lower: Floats) -> float:
     """Give the height at which the flanks that both heads see meet, mm; the middle of their ends if nowhere.
+
+    Where no section has points of both sides, the mean of the upper one.
 
     Each flank is a conic over the rim (`roemetry_scan.flanks`): a rim set too high lets those of the upper
     side end too far in and those of the lower side too far out.

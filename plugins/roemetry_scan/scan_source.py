@@ -292,7 +292,8 @@ def _table(scan: Path) -> _Table:
         files = tuple(named) if all(named) else tuple(one.name for one in _frames_in(scan))
         if len(files) != len(named):
             raise DataError(f"{path}: {len(named)} lines for {len(files)} frames in the folder")
-        without = [one.name for one in _frames_in(scan) if one.name not in set(files)]
+        told = set(files)
+        without = [one.name for one in _frames_in(scan) if one.name not in told]
         if without:
             raise DataError(
                 f"{path}: {len(without)} frames of the folder have no line in it, {without[0]} first",

@@ -30,12 +30,12 @@ _OF_STEP = 0.5
 _RUN = 5
 """Neighbours that lie beside: noise and glare give one or two."""
 _UNSEEN_MIN, _UNSEEN_SHARE = 10, 0.25
-"""Of the points that both neighbours see over the belt; fewer are missing where a product begins in faint
-light: of 8 and 9 points 6 were. A dark cut across a product is dropped with it: one line,
-which its neighbours stand for."""
+"""More points than that are missing, and more than that share of those that both neighbours see over the
+belt. Where a product begins in faint light fewer are: 6 of 8 and of 9. A dark cut across a product is dropped
+with it: one line, which its neighbours stand for."""
 _ON_END = 0.8
-"""Of these, what follows each other: where light is faint, points are missing here and there all along. Where
-half of 20 points are missing, they do in 2 of 1,000 draws."""
+"""Share of the missing points that follow each other: where light is faint, points are missing here and there
+all along. Of 10 missing of 20, in any order, 8 follow each other in 4 of 1,000 draws."""
 _CLEAR = 0.8
 """Of the way from the first to the last of them: where both neighbours miss more, light is faint."""
 _END_ROWS, _END_SCATTERS = 1.5, 8.0

@@ -112,13 +112,12 @@ def circle_light(pixels: NDArray[Any], view: View) -> CircleLight:
     usual = float(np.median(on_belt[on_belt >= np.median(on_belt)]))
     noise = _NOISE * _SMOOTHED * _noise_of(pixels)
     belt = (away_px <= _ON_PX) & (height > max(_BELT_SHARE * usual, noise))
-    beside = (away_px > _BESIDE_PX) & (height > max(_PRODUCT_SHARE * usual, noise))
-    number = cv2.connectedComponents(belt.astype(np.uint8), connectivity=8)[1]
     ridge = height > max(_PRODUCT_SHARE * usual, noise)
+    number = cv2.connectedComponents(belt.astype(np.uint8), connectivity=8)[1]
     return CircleLight(
         _places(belt),
         number[belt].astype(np.int32),
-        _places(_long(beside)),
+        _places(_long(ridge & (away_px > _BESIDE_PX))),
         ridge,
         ridge & (away_px > _ON_PX),
     )

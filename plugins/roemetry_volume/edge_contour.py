@@ -148,8 +148,9 @@ class EdgeContour(Outliner[EdgeContourOptions]):
         many = stripes.stripe_count > 1
         larger = _shown_larger(level, known, spacing) if use_plain and known and many else {}
         of_circles = None
-        if stripes.circles and use_plain and calibration is not None and calibration.view is not None:
-            of_circles = circle_light(_one(frame.pixels), calibration.view)
+        view = None if calibration is None else calibration.view
+        if stripes.circles and use_plain and known and view is not None:
+            of_circles = circle_light(_one(frame.pixels), view)
         outlines = []
         for number, region in (known or _cores(level)).items():
             if not _is_clear(level, region):

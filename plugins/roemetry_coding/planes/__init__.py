@@ -89,6 +89,7 @@ class Planes(Coder[PlanesOptions]):
         calibration = required_calibration(calibration, "planes", "without planes a peak has no height")
         rest = calibrated_rest_lines(peaks, calibration)
         problem = build_problem(peaks, calibration, rest, _REACH[0])
+        refuse_bare_lines(bool(problem.candidates.many.any()), rest.x_px.shape[0])
         verdicts = verdicts_of(problem, cheapest_labels(problem), peaks.row)
         for bound, reach in pairwise(_REACH):
             if not _bounded(peaks, verdicts.stripe, calibration, rest, bound):

@@ -142,7 +142,7 @@ def presence_of(
 def found_share(row: Integers, line: Integers, stripes: int, rows: int, outer: int) -> Floats:
     """Give (stripe,) the share of rows in which a stripe's light is found on belt that nothing covers.
 
-    Nothing covers the belt at the image's top, or at its bottom: the better of the two is taken.
+    Assumes that nothing covers the belt at the image's top, or at its bottom: the larger share is taken.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def found_share(row: Integers, line: Integers, stripes: int, rows: int, outer: i
     stripes, rows
         Number of rest lines and of image rows.
     outer
-        So many rows are the top, and the bottom.
+        Number of rows that are the top, and of those that are the bottom.
     """
     found = np.zeros((2, stripes))
     for p in range(row.shape[0]):

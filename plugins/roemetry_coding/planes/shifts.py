@@ -20,9 +20,10 @@ Of whole bodies `whole_bodies` asks that.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_coding.planes.graph import Candidates, PairCosts, Weights
@@ -104,13 +105,21 @@ def cheapest_shifts(
         by = single_shifts(runs, _GAIN_MIN)
         if not by.any():
             dearer, by = shifts_of(runs, entries.start.size - 1, _GAIN_MIN)
-            evidence = np.where(runs.of >= 0, dearer[runs.of], np.inf)
+            evidence = of_entries(runs, dearer, np.inf)
             if not by.any():
                 break
         moved = True
-        best = shift_labels(candidates, best, np.where(runs.of >= 0, by[runs.of], 0))
+        best = shift_labels(candidates, best, of_entries(runs, by, 0))
         runs = runs_of(entries, candidates, piece, best, own, costs, weights)
     return best, evidence, moved, runs
+
+
+def of_entries(runs: Runs, of_run: NDArray[Any], otherwise: float) -> NDArray[Any]:
+    """Give (entry,) what (run,) values say of its run; `otherwise` where an entry is in none."""
+    found = np.full(runs.of.size, otherwise, of_run.dtype)
+    inside = runs.of >= 0
+    found[inside] = of_run[runs.of[inside]]
+    return found
 
 
 def evidence_without(

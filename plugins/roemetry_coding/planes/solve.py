@@ -50,7 +50,7 @@ from roemetry_coding.planes.pieces import (
     presence_of,
     relative_light,
 )
-from roemetry_coding.planes.shifts import cheapest_shifts, shift_labels
+from roemetry_coding.planes.shifts import cheapest_shifts, of_entries, shift_labels
 from roemetry_coding.planes.whole_bodies import whole_body_shifts
 from roemetry_kernels.compiling import inlined, kernel
 from roemetry_kernels.rest_lines import RestLines
@@ -67,7 +67,8 @@ _FLICKER_ROWS = 3
 _BARE_ROWS = 20
 """A rest line is bare where nothing lies on it for so many rows on end: as long a gap as coders bridge."""
 _FOUND_MAX = 0.99
-"""A stripe found in so many rows is as good as always found: −log(1 − 0.98) is the full weight already."""
+"""A stripe found in this share of the rows is as good as always found: 1 − e⁻⁴ = 0.982 gives 4, the full
+weight `unseen`."""
 _END_ROWS = 8
 """Cut off where a belt ends amid the image: a body may have begun within the tolerance, rows."""
 _BORDER_ROWS = 12
@@ -86,11 +87,12 @@ _ANCHOR_ROWS = 25
 """Belt of so many rows that reaches the image's border is belt."""
 _BELOW_TOLERANCES = 1.5
 """How far below the belt a point may be, in tolerances of a rest line."""
-_SHIFT_GAIN = 6.0
 _BODY_MOVES_MAX = 3
-"""Bodies that were moved are looked at again so often: one move is usual, none on most frames."""
+"""After bodies were moved, all are looked at again, up to so many times: one move is usual, none on most
+frames."""
 _BODY_GAIN = 0.05
-"""A body is moved where that is cheaper by as much on each line; less is no difference."""
+"""A body is moved where that is cheaper by this cost on each line; less is no difference."""
+_SHIFT_GAIN = 6.0
 _ROUNDS = 2
 """Sweeps are repeated up to twice with the labels found by shifts cheaper by as much as a false peak."""
 _EMPTY = 3.0
@@ -212,12 +214,12 @@ def _shifted(problem: Problem, best: Integers) -> tuple[Integers, Floats, bool]:
         dearer, by = whole_body_shifts(
             entries, candidates, problem.pieces.line, best, runs, own, costs, WEIGHTS
         )
-        evidence = np.where(runs.of >= 0, np.minimum(evidence, dearer[runs.of]), evidence)
+        evidence = np.minimum(evidence, of_entries(runs, dearer, np.inf))
         by = np.where(dearer < -_BODY_GAIN, by, 0)
         moved = moved or shifted or bool(by.any())
         if not by.any():
             break
-        best = shift_labels(candidates, best, np.where(runs.of >= 0, by[runs.of], 0))
+        best = shift_labels(candidates, best, of_entries(runs, by, 0))
     return best, evidence, moved
 
 

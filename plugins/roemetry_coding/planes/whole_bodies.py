@@ -29,7 +29,6 @@ _ENTRIES_MIN = 100
 _LOST_SHARE_MAX = 0.25
 """Of a body that is moved, more entries without a possible height are no body there: below the belt, or above
 what heights are looked for."""
-
 _AGAINST_SHARE_MAX = 0.5
 """Where order speaks against a shift on more of the lines, it does against farther ones the same way."""
 _TIED_LINES = 20

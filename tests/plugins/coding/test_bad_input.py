@@ -118,3 +118,8 @@ def test_noise_without_stripes(coder: Any, rng: np.random.Generator) -> None:
     none = np.zeros(2000, np.uint8)
     peaks = Peaks(size, row[order], x_px[order], 0.02 * flat, 8.0 * flat, flat, flat, none)
     assert refused_or_told(coded(coder, peaks, RIG.calibration()))
+
+
+def test_light_that_no_plane_can_make(coder: Any) -> None:
+    """One line beside all rest lines, on the side on which light would lie far below the belt."""
+    assert refused_or_told(coded(coder, drawn(np.full((1, RIG.rows), 5.0))[0], RIG.calibration()))

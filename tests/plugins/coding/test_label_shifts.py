@@ -10,7 +10,15 @@ import pytest
 from roemetry_coding.planes.graph import Candidates
 from roemetry_coding.planes.lines import Entries
 from roemetry_coding.planes.pieces import ENDS, Pieces
-from roemetry_coding.planes.shifts import OUT, Runs, _edges, shift_labels, shifts_of, single_shifts
+from roemetry_coding.planes.shifts import (
+    OUT,
+    Runs,
+    _edges,
+    of_entries,
+    shift_labels,
+    shifts_of,
+    single_shifts,
+)
 from roemetry_coding.planes.solve import agreed, favour_labels
 
 RUNS, LINES = 6, 20
@@ -180,3 +188,12 @@ def test_of_two_out_of_order_the_small_one_gives_way(small: str) -> None:
     way = agree(np.arange(0, 2 * lines + 1, 2), piece, rest, cost)
     np.testing.assert_array_equal(way[0::2], 1 if small == "many" else 2)
     np.testing.assert_array_equal(way[1::2], 0)
+
+
+@pytest.mark.parametrize(("of", "of_run"), [([-1, -1, -1], []), ([1, -1, 0], [4, 7])])
+def test_what_a_run_is_given_holds_for_its_entries(of: list[int], of_run: list[int]) -> None:
+    """Where all entries are left out there is no run at all."""
+    none = np.zeros((0, 4, 4))
+    runs = runs_of(np.zeros((len(of_run), 4)), NONE, NONE, none)._replace(of=np.array(of))
+    expected = [of_run[k] if k >= 0 else -9 for k in of]
+    np.testing.assert_array_equal(of_entries(runs, np.array(of_run, np.int64), -9), expected)

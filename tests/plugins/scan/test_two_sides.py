@@ -11,7 +11,7 @@ import pytest
 
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import Profiles, ScanFigures
-from roemetry_scan.closed import Registration, closed_volume, registered
+from roemetry_scan.closed import CAUSES, Registration, closed_volume, registered
 from roemetry_scan.commands import register_heads, two_sides
 from roemetry_scan.formats import write
 from roemetry_scan.formats.points import Measured, profiles_of
@@ -48,6 +48,7 @@ def test_what_neither_head_sees_of_an_ellipsoid_is_followed(least_mm: float) -> 
     found = closed_volume(side, side, Registration(LIFTED, 0.005, 9))
     assert found.value == pytest.approx(TRUE, rel=0.01)
     assert found.interval[0] < TRUE < found.interval[1]
+    assert tuple(found.budget) == CAUSES
 
 
 def test_a_registration_that_is_off_is_in_the_budget_and_the_volume() -> None:
