@@ -37,7 +37,8 @@ _ON_END = 0.8
 """Share of the missing points that follow each other: where light is faint, points are missing here and there
 all along. Of 10 missing of 20, in any order, 8 follow each other in 4 of 1,000 draws."""
 _CLEAR = 0.8
-"""Of the way from the first to the last of them: where both neighbours miss more, light is faint."""
+"""Of the way from the first to the last of them, belt between products included: where the neighbours miss
+more, light is faint."""
 _END_ROWS, _END_SCATTERS = 1.5, 8.0
 """Rows that a line's end lies away from the middle of those around it, at least, and times their scatter."""
 _PART_ROWS = 20
@@ -74,11 +75,11 @@ def torn_lines(height_mm: Floats, oblique_rows: int) -> Flags:
     for first in range(1, lines - 1, _AT_ONCE):
         part = height_mm[first - 1 : first + _AT_ONCE + 1]
         both = (part[:-2] > limit_mm) & (part[2:] > limit_mm)
-        unseen = np.isnan(part[1:-1])
+        unseen, told = np.isnan(part[1:-1]), np.isfinite(part[:-2]) & np.isfinite(part[2:])
         many = (both & unseen).sum(axis=1)
         for k in np.flatnonzero(many > np.maximum(_UNSEEN_MIN, _UNSEEN_SHARE * both.sum(axis=1))).tolist():
             asked = np.flatnonzero(both[k])
-            clear = asked.size >= _CLEAR * (asked[-1] - asked[0] + 1)
+            clear = told[k, asked[0] : asked[-1] + 1].mean() >= _CLEAR
             found[first + k] |= clear and _longest_run(unseen[k, asked]) >= _ON_END * many[k]
     for end in _ends_of_parts(height_mm):
         found |= _astray(end)

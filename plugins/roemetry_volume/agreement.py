@@ -205,7 +205,9 @@ class _CurveBrackets(NamedTuple):
 
         And how far of it nothing but a wrong outline explains. Light of product and belt keeps the same
         distance from a sound edge, so that half of the difference is what the edge is off by; but where light
-        of the one does not reach the edge at all, no more than that of the other allows.
+        of the one does not reach the edge at all, no more than that of the other allows. Flanks may be dark,
+        but belt that faces the light is lit up to a sound edge: as far as its light ends short of the edge,
+        the edge may be too far inside.
         """
         against = max(self._against_px(np.zeros(2)) - _END_PX, 0.0)
         apart, of_ends = (0.0, 0.0) if self.ends is None else self.ends.disagreement_px()
@@ -216,7 +218,8 @@ class _CurveBrackets(NamedTuple):
         off_px = None if self.light is None else self.light.off_px(edge, np.zeros(2))
         if off_px is None:
             return 0.0
-        return min(0.5 * abs(off_px[0] - off_px[1]), max(0.0, max(off_px) + _TOUCHES_PX))
+        differs_px = min(0.5 * abs(off_px[0] - off_px[1]), max(0.0, max(off_px) + _TOUCHES_PX))
+        return max(differs_px, -off_px[1] - _TOUCHES_PX)
 
     def contradiction_left_px(self) -> float:
         """Say how far points, and nine in ten ends, contradict the best shifted edge at most."""

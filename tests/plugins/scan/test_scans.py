@@ -562,6 +562,17 @@ def test_single_points_that_faint_light_leaves_out_are_no_torn_line(
     assert not set(whole.frame) - set(placed(showing(stripes, x_px), lines).frame)
 
 
+@pytest.mark.parametrize("second", [False, True])
+def test_a_line_that_lost_rows_is_torn_beside_another_product_too(
+    second: bool, rng: np.random.Generator
+) -> None:
+    height_mm = rng.normal(0.0, 0.02, (41, 400))
+    height_mm[:, 100:180] += 10.0
+    height_mm[:, 240:320] += 10.0 * second
+    height_mm[20, 110:160] = np.nan
+    assert np.flatnonzero(torn_lines(height_mm, 2)).tolist() == [20]
+
+
 def test_belt_at_the_far_edge_of_a_shadow_is_no_product() -> None:
     """A dome, its shadow beside it, and behind that two points which the cut-off line has lifted."""
     x, y = np.meshgrid(np.arange(40.0), 0.25 * np.arange(200.0), indexing="ij")
