@@ -161,16 +161,18 @@ def products_on(
     for place, k in enumerate(sorted(first, key=lambda k: (first[k], side[k])), start=1):
         number[k] = place
     found = np.where(seen, np.where(on, number[region], 0), -1).astype(np.int16)
-    found[_beyond_shadow(height_mm, found) | _beyond_shadow(height_mm.T, found.T).T] = 0
+    low_mm = options.height_min_mm
+    found[_beyond_shadow(height_mm, found, low_mm) | _beyond_shadow(height_mm.T, found.T, low_mm).T] = 0
     return found
 
 
 @kernel
-def _beyond_shadow(height_mm: Floats, label: Labels) -> Flags:
+def _beyond_shadow(height_mm: Floats, label: Labels, low_mm: float) -> Flags:
     """Mark what of a product's section, a row of both arrays, is belt at the far edge of its shadow.
 
-    There a line of light is cut off, and its middle lies off: up to three points at the section's end that
-    are far lower than the product, behind points that are not seen.
+    There a line of light is cut off, and its middle lies off: islands of up to three points at the section's
+    end, behind points that are not seen, that are far lower than the product and lower than `low_mm`, which a
+    product reaches somewhere.
     """
     rows, points = label.shape
     found = np.zeros(label.shape, np.bool_)
@@ -193,7 +195,7 @@ def _beyond_shadow(height_mm: Floats, label: Labels) -> Flags:
                     continue
                 for m in range(first, begin, way):
                     mine = label[i, m] == label[i, begin]
-                    found[i, m] |= mine and height_mm[i, m] < _EDGE_SHARE * height_mm[i, begin]
+                    found[i, m] |= mine and height_mm[i, m] < min(_EDGE_SHARE * height_mm[i, begin], low_mm)
                 while 0 <= k < points and label[i, k] != 0:
                     k += way
     return found
