@@ -44,15 +44,16 @@ _PIECE_ROWS = 12
 """Longest piece: over so many rows a label is the same unless there is a kink."""
 _KINK_PX = 1.5
 """By which a peak lies beside the line through the two before it at a kink: noise is a tenth."""
-_BELOW_MM, _ABOVE = 1.0, 0.05
-"""Heights reach below the belt by so much, and above the greatest one by this share of it."""
-_BELT_MM = 1.0
-"""Height up to which a piece lies on the belt: three times what a rig that has moved a little makes."""
+_BELT_MM = 3.0
+"""Height above and below the belt up to which a piece lies on it. A row that is sent twice moves the belt by
+1 mm, and by 2 where circles run along rows; with 1.0 such belt was the next circle's, 54 mm up."""
+_ABOVE = 0.05
+"""Heights reach above the greatest one by this share of it."""
 _ABOVE_COST = 1.0
 """Of a piece above the belt: as much as a slope that is a half steeper than usual."""
-_BY_CHANCE = 3.0
+_BY_CHANCE = 1.8
 """More, of a piece above the belt that lies on a circle of the belt as well, within `_BELT_MM` either way. Of
-heights 36 mm apart (circles 8 mm apart, a projector 105 mm aside and 470 mm up) one in eighteen does."""
+heights 36 mm apart (circles 8 mm apart, a projector 105 mm aside and 470 mm up) one in six does."""
 _NOTHING = 20.0
 """Of a piece that is no circle's light: two broken surfaces, and nearly one wrong order."""
 _NOTHING_BESIDE = 3.0
@@ -195,7 +196,7 @@ def _problem(peaks: Peaks, pieces: _Pieces, calibration: Calibration, view: View
     xy = np.stack([peaks.x_px[ends], peaks.row[ends].astype(np.float64)], axis=2)
     z = view.lift(xy[:, None], np.arange(halves)[None, :, None])[..., 2]  # (piece, half, end)
     with np.errstate(invalid="ignore"):
-        can = ((z > low - _BELOW_MM) & (z < high * (1.0 + _ABOVE))).all(axis=2)
+        can = ((z > low - _BELT_MM) & (z < high * (1.0 + _ABOVE))).all(axis=2)
     most = int(can.sum(axis=1).max(initial=0))
     stripe = np.full((count, most + 1), -2)
     rank = np.cumsum(can, axis=1) - 1
