@@ -162,7 +162,8 @@ def build_problem(peaks: Peaks, calibration: Calibration, rest: RestLines, reach
     found = found_share(peaks.row, rest.line, presence.shape[1], rows, math.ceil(_OUTER_SHARE * rows))
     surprise = np.minimum(-np.log1p(-np.minimum(found, _FOUND_MAX)) / WEIGHTS.unseen, 1.0)
     costs = pair_costs_of(entries, candidates, lines, presence * surprise, u_per_px, 2.0 * slack_mm, WEIGHTS)
-    there = presence.max(axis=0)
+    # a faint stripe's belt may be in pieces too short to follow, and is there all the same
+    there = np.maximum(presence.max(axis=0), np.minimum(found / _PRESENT_SHARE, 1.0))
     own = unary_costs(entries, candidates, pieces, there, WEIGHTS, _ANCHOR_ROWS)
     return Problem(lines, pieces, entries, there, candidates, costs, own)
 
