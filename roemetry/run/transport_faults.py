@@ -218,6 +218,8 @@ def _filled(lines: NDArray[Any], level: NDArray[np.bool_]) -> int | None:
 
     `level` says which lines may be of one level. Where the sensor clips darkness by itself, none is told.
     """
+    if level.mean() > _CLIPPED_SHARE:  # beside one line of light nearly all columns are; specks end at once
+        return None
     other = lines[~level]
     for line in np.flatnonzero(level):
         beside = [k for k in (line - 1, line + 1) if 0 <= k < len(lines) and not level[k]]

@@ -7,7 +7,7 @@ import pytest
 
 from roemetry.errors import DataError
 from roemetry.records import Frame
-from roemetry.run.transport_faults import check_joins
+from roemetry.run.transport_faults import check_joins, check_lines
 
 ROWS, COLUMNS = 1280, 400
 
@@ -62,3 +62,13 @@ def test_columns_that_are_joined_in_every_so_many_rows_are_found(
     frame[rows, 200:] = other[rows, 200:]
     with pytest.raises(DataError, match="between the columns 199 and 200"):
         check_joins(Frame(frame))
+
+
+def test_a_speck_in_the_dark_beside_one_line_is_no_end_of_filled_columns(rng: np.random.Generator) -> None:
+    """Little read noise leaves all columns but those of the line at one level."""
+    columns = np.arange(200.0)
+    lit = 90.0 * np.exp(-0.5 * ((columns - 60.0) / 2.0) ** 2) * rng.uniform(0.9, 1.1, (160, 1))
+    pixels = (4.0 + lit).astype(np.uint8)
+    check_lines(Frame(pixels, name="dark"))
+    pixels[80, 137] = 255
+    check_lines(Frame(pixels, name="a speck"))
