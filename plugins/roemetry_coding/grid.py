@@ -105,15 +105,17 @@ class GridPlanes(Coder[PlanesOptions]):
         across = _followed(_without_strays(across), peaks.across)
         pair = _Families(calibration, calibration.across)
         met = _crossings(upright, across, pair)
-        if not met.agree.size:
-            raise StageError("no line crosses one of the other family", hint="is this an image of a grid?")
-        if met.agree.mean() < 1.0 - _CONTRADICTED_MAX:
+        if not met.agree.size or met.agree.mean() < 1.0 - _CONTRADICTED_MAX:
             white = float(np.mean((np.append(peaks.flags, peaks.across.flags) & SATURATED) > 0))
             if white > _WHITE_MAX:
                 raise StageError(
                     f"{white:.0%} of the peaks are saturated, and heights of both families agree at "
                     f"{met.agree.sum()} of {met.agree.size} crossings only",
                     hint="shorten the exposure: where lines cross there is twice as much light",
+                )
+            if not met.agree.size:
+                raise StageError(
+                    "no line crosses one of the other family", hint="is this an image of a grid?"
                 )
             raise StageError(
                 f"where lines cross, both families agree on the height at {met.agree.sum()} of "

@@ -27,6 +27,8 @@ ENDS = -2
 """Rest line of the ends that were cut off: not known."""
 _AMID_SHARE = 0.5
 """What lies on a rest line amid the image only, and is shorter, may be the neighbour's body."""
+_FOUND_ROWS_MIN = 10
+"""From its first peak to its last one: of fewer rows a share says too little."""
 _ROWS = 12
 """Peaks before, or after, one that are asked for their mean: it scatters by a third of what one does."""
 _LEAST_ROWS = 6
@@ -142,7 +144,8 @@ def presence_of(
 def found_share(row: Integers, line: Integers, stripes: int, rows: int, outer: int) -> Floats:
     """Give (stripe,) the share of rows in which a stripe's light is found on belt that nothing covers.
 
-    Assumes that nothing covers the belt at the image's top, or at its bottom: the larger share is taken.
+    Nothing covers the belt at the image's top, or at its bottom: the better of the two is taken, each from
+    the stripe's first peak there to its last one. 1 where neither shows enough of it to tell.
 
     Parameters
     ----------
@@ -154,11 +157,24 @@ def found_share(row: Integers, line: Integers, stripes: int, rows: int, outer: i
         Number of rows that are the top, and of those that are the bottom.
     """
     found = np.zeros((2, stripes))
+    first, last = np.full((2, stripes), rows), np.full((2, stripes), -1)
     for p in range(row.shape[0]):
-        if line[p] >= 0:
-            found[0, line[p]] += row[p] < outer
-            found[1, line[p]] += row[p] >= rows - outer
-    return np.maximum(found[0], found[1]) / outer
+        s = line[p]
+        if s < 0 or outer <= row[p] < rows - outer:
+            continue
+        part = 0 if row[p] < outer else 1
+        found[part, s] += 1.0
+        first[part, s], last[part, s] = min(first[part, s], row[p]), max(last[part, s], row[p])
+    share = np.ones(stripes)
+    for s in range(stripes):
+        best = 0.0
+        for part in range(2):
+            long = last[part, s] - first[part, s] + 1
+            if long >= _FOUND_ROWS_MIN:
+                best = max(best, found[part, s] / long)
+        if best > 0.0:
+            share[s] = min(best, 1.0)
+    return share
 
 
 @kernel

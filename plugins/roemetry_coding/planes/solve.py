@@ -158,12 +158,15 @@ def build_problem(peaks: Peaks, calibration: Calibration, rest: RestLines, reach
     below_mm = min(low_mm, 0.0) - _BELOW_TOLERANCES * slack_mm
     candidates = candidates_of(entries, lines.plane, below_mm, high_mm + slack_mm, reaches)
     # a stripe that is found with probability p, and is not seen, costs −log(1 − p); WEIGHTS.unseen at most
-    rows = peaks.image_size[0]
-    found = found_share(peaks.row, rest.line, presence.shape[1], rows, math.ceil(_OUTER_SHARE * rows))
+    rows, stripes = peaks.image_size[0], presence.shape[1]
+    outer = math.ceil(_OUTER_SHARE * rows)
+    found = found_share(peaks.row, rest.line, stripes, rows, outer)
     surprise = np.minimum(-np.log1p(-np.minimum(found, _FOUND_MAX)) / WEIGHTS.unseen, 1.0)
     costs = pair_costs_of(entries, candidates, lines, presence * surprise, u_per_px, 2.0 * slack_mm, WEIGHTS)
     # a faint stripe's belt may be in pieces too short to follow, and is there all the same
-    there = np.maximum(presence.max(axis=0), np.minimum(found / _PRESENT_SHARE, 1.0))
+    bare = ((peaks.row < outer) | (peaks.row >= rows - outer)) & (rest.line >= 0)
+    seen = np.bincount(rest.line[bare], minlength=stripes)
+    there = np.where(seen >= _PRESENT_SHARE * outer, 1.0, presence.max(axis=0))
     own = unary_costs(entries, candidates, pieces, there, WEIGHTS, _ANCHOR_ROWS)
     return Problem(lines, pieces, entries, there, candidates, costs, own)
 

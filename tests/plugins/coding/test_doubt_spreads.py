@@ -117,9 +117,9 @@ def test_an_end_that_lies_on_the_belt_still_is_not_yet_the_product(first: int, s
 
 
 def test_a_stripe_is_found_as_often_as_on_belt_that_nothing_covers() -> None:
-    """Stripe 0 is always found, 1 in every other row; a body covers the image's top, and amid it all rows."""
-    rows = np.arange(100)
-    bare = rows >= 70
+    """Stripe 0 is always found, 1 in every other row, 2 nowhere; a body covers all but the lower rows."""
+    rows = np.arange(400)
+    bare = rows >= 280
     row = np.concatenate([rows[bare], rows[bare & (rows % 2 == 0)]])
-    line = np.repeat([0, 1], [30, 15])
-    np.testing.assert_allclose(found_share(row, line, 3, 100, 10), [1.0, 0.5, 0.0])
+    line = np.repeat([0, 1], [120, 60])
+    np.testing.assert_allclose(found_share(row, line, 3, 400, 40), [1.0, 20 / 39, 1.0])

@@ -102,7 +102,11 @@ def test_an_image_without_light_has_none(view: View) -> None:
     assert len(light.belt) == len(light.product) == 0
 
 
-@pytest.mark.parametrize("name", ["potato_01", "potato_02"])
+TRUE_MM3 = {"potato_01": 122_865.2, "potato_02": 105_596.6}
+"""Visible volumes, from the scene (`simulated.yaml`, seed 1)."""
+
+
+@pytest.mark.parametrize("name", TRUE_MM3)
 @pytest.mark.parametrize("scale", [0.96, 0.985, 0.993, 0.997, 1.007, 1.015, 1.04])
 def test_a_plain_image_of_another_scale_is_refused_or_in_the_interval(name: str, scale: float) -> None:
     recipe = Recipe.load(CIRCLES)
@@ -110,16 +114,14 @@ def test_a_plain_image_of_another_scale_is_refused_or_in_the_interval(name: str,
         cv2.imread(str(CIRCLES / folder / f"{name}.png"), -1) for folder in ("images", "images_plain")
     )
     assert laser is not None and plain is not None
-    (sound,) = recipe.measure(laser, plain=plain)
     rows, columns = plain.shape
     turned = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), 0.0, scale)
     other = cv2.warpAffine(
         plain, turned, (columns, rows), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
     )
     (found,) = recipe.measure(laser, plain=other)
-    assert sound.volume is not None
     if found.volume is None:
         assert abs(scale - 1.0) > 0.01
     else:
         low, high = found.volume.visible_mm3.interval
-        assert low < sound.volume.visible_mm3.value < high
+        assert low < TRUE_MM3[name] < high
