@@ -38,9 +38,8 @@ IMAGES = 4
 DRAWS = 4
 RELATIVE = 1e-7
 """Largest relative difference: libraries of linear algebra differ by 1e-12, a changed rule by far more."""
-ABSOLUTE = 1e-6
-"""For values that are nearly zero, in the value's own unit: differences of volumes of 10⁵ mm³, which are
-rounded to 10⁻⁷ mm³."""
+ABSOLUTE = 1e-9
+"""For values that are zero but for rounding, in the value's own unit."""
 
 
 def main() -> None:

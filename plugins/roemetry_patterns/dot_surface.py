@@ -67,6 +67,9 @@ _ALIKE = 15.0
 """Points that count as one where rims are weighed: a body is not quite the process, and errs alike around."""
 _WEIGHT_MIN = 1e-3
 """Of the likeliest rim's, from which on a rim counts."""
+_DECIMALS = 3
+"""Of volumes that are compared, mm³: their equations are solved to a hundredth of that, more or less of it by
+the library that solves them."""
 _REACHES = (0.35, 0.7)
 """Of the root of the footprint's area, that the process can reach."""
 _SIZES = (1.0, 3.0)
@@ -584,7 +587,7 @@ def _spread_mm3(scene: _Scene, tried: list[_Kriged]) -> float:
     top = max(one.log_likelihood for one in tried)
     weight = [math.exp((one.log_likelihood - top) / _ALIKE) for one in tried]
     likely = [(one, share) for one, share in zip(tried, weight, strict=True) if share > _WEIGHT_MIN]
-    volumes = np.array([one.volume_mm3(scene.nodes(one.rim_mm)) for one, _ in likely])
+    volumes = np.array([one.volume_mm3(scene.nodes(one.rim_mm)) for one, _ in likely]).round(_DECIMALS)
     shares = np.array([share for _, share in likely])
     mean = float(shares @ volumes / shares.sum())
     return math.sqrt(float(shares @ (volumes - mean) ** 2 / shares.sum()))

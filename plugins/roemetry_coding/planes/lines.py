@@ -46,6 +46,8 @@ _BORDER_PX = 0.5
 """The image ends half a pixel beyond the centres of its outermost pixels, px."""
 _PARALLEL = 1e-3
 """Planes, or base and view, within so many radians of parallel have no stable common point."""
+GAP_LINES = 20
+"""Longest gap along a trace that is tied over, lines."""
 _TIE_LOOSE = 1.8
 """What even two ends that hardly point at each other are tied by: little more than a cut."""
 _END_PX = (1.5, 0.25)

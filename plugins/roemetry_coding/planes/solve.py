@@ -39,7 +39,7 @@ from roemetry_coding.planes.graph import (
     pair_costs_of,
     unary_costs,
 )
-from roemetry_coding.planes.lines import Entries, EpipolarLines, entries_of, epipolar_lines
+from roemetry_coding.planes.lines import GAP_LINES, Entries, EpipolarLines, entries_of, epipolar_lines
 from roemetry_coding.planes.pieces import (
     ENDS,
     Pieces,
@@ -81,8 +81,6 @@ _END_LINES = 30
 """A stripe's belt may begin or end this far from the image's border."""
 _LOST = 0.25
 """Where it does not reach so far: how surely it is there, still."""
-_GAP_LINES = 20
-"""Longest gap along a trace that is tied over, lines."""
 _ANCHOR_ROWS = 25
 """Belt of so many rows that reaches the image's border is belt."""
 _BELOW_TOLERANCES = 1.5
@@ -150,7 +148,7 @@ def build_problem(peaks: Peaks, calibration: Calibration, rest: RestLines, reach
     ties = WEIGHTS.tie_whole, WEIGHTS.tie_cut, WEIGHTS.tie_gap
     loose = pieces.rest[pieces.of] == ENDS
     belt = pieces.rest[pieces.of] != -1
-    entries = entries_of(pieces.trace, pieces.of, loose, belt, lines, u_per_px, ties, _GAP_LINES)
+    entries = entries_of(pieces.trace, pieces.of, loose, belt, lines, u_per_px, ties, GAP_LINES)
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     low_mm, high_mm = calibration.height_range_mm
     # belt that lies on its rest line from the image's border on is no product out of range: that saves time

@@ -18,7 +18,7 @@ import numpy as np
 
 from roemetry.records.arrays import Floats, Integers
 from roemetry_coding.planes.graph import Candidates, PairCosts, Weights
-from roemetry_coding.planes.lines import Entries
+from roemetry_coding.planes.lines import GAP_LINES, Entries
 from roemetry_coding.planes.shifts import DISORDER, IMPOSSIBLE, Runs
 from roemetry_kernels.compiling import kernel
 
@@ -31,8 +31,6 @@ _LOST_SHARE_MAX = 0.25
 what heights are looked for."""
 _AGAINST_SHARE_MAX = 0.5
 """Where order speaks against a shift on more of the lines, it does against farther ones the same way."""
-_TIED_LINES = 20
-"""Ties reach over gaps of so many lines."""
 
 
 @kernel
@@ -90,11 +88,11 @@ def whole_body_shifts(
                         lost += not 0 <= best[i] + move[i] - offset[i] < count[i]
                 if lost > _LOST_SHARE_MAX * size:
                     break
-                change, wide, against, last = 0.0, 0, 0, -_TIED_LINES - 1
+                change, wide, against, last = 0.0, 0, 0, -GAP_LINES - 1
                 for e in range(lines):
                     if crossed[e]:
                         wide, last = wide + 1, e
-                    if e - last <= _TIED_LINES:
+                    if e - last <= GAP_LINES:
                         cost, disorder = _cost_of(e, move, entries, candidates, best, own, costs, weights)
                         change += cost - still[e]
                         against += disorder > 0
