@@ -8,7 +8,13 @@ that faces the light stripes reach the outline. So of all ends around it
 
 where p and b are how far inside the outline a product's end and the belt's next point lie, and `free` the
 edge that the image shows without the stripes' bounds. An edge too far inside leaves about half of the ends
-outside: hence the 2. It joins the outline's uncertainty. An outline that is off by more but agrees when it is
+outside: hence the 2. It joins the outline's uncertainty. Where the belt's texture does not say how the images
+lie over each other (`laid_over`), the plain one may be of another scale, and the edge is off all around:
+light on product and belt ends at the same distance from a sound edge, so that it is too far inside by
+
+    δ = (q90(−p_free) − q90(b_free)) / 2,   or q90(−p_free), where a shadow lies all around the product,
+
+and σ is δ at least. An outline that is off by more but agrees when it is
 shifted (belt or camera moved between the images) is left out. Where no shift explains it, or where the body
 in the plain image goes on far beyond all stripes, one of the images lies (rows of the laser image are lost,
 the plain image is another product's or of another scale), nobody knows which, and the product is refused.
@@ -74,16 +80,24 @@ class Brackets(Protocol):
 
 
 def brackets_of(
-    scene: Scene, ring: Floats, stripes: StripeMap, number: int, light: CircleLight | None = None
+    scene: Scene,
+    ring: Floats,
+    stripes: StripeMap,
+    number: int,
+    light: CircleLight | None = None,
+    *,
+    placed: bool = False,
 ) -> Brackets | None:
     """Find what brackets a product's outline (point, 2) px; None of too little.
 
-    `light` is that of circles, all around them.
+    `light` is that of circles, all around them; `placed` says that the belt's texture tells how the plain
+    image lies over the laser image.
     """
     if stripes.circles:
         return _curves_of(scene, ring, stripes, number, light)
-    found = _dots_of if stripes.dots is not None else _ends_of
-    return found(scene, ring, stripes, number)
+    if stripes.dots is not None:
+        return _dots_of(scene, ring, stripes, number)
+    return _ends_of(scene, ring, stripes, number, placed=placed)
 
 
 class _EndBrackets(NamedTuple):
@@ -92,7 +106,7 @@ class _EndBrackets(NamedTuple):
     `ring` is the outline, `free` the edge that the image shows without the stripes' bounds, (point, 2) px;
     `ends` (end, 2) px lie on the product, `beyond` (end, 2) px next to it on the belt. `of_grid` says that
     they lie all around, also where the product turns away from the light, and no end reaches the outline: a
-    tenth of them is those that do.
+    tenth of them is those that do. `placed`: see `brackets_of`.
     """
 
     ring: Floats
@@ -100,6 +114,7 @@ class _EndBrackets(NamedTuple):
     ends: Floats
     beyond: Floats
     of_grid: bool
+    placed: bool
 
     def disagreement_px(self) -> tuple[float, float]:
         """Say how far the outline is from what the ends allow, standard uncertainty.
@@ -119,7 +134,16 @@ class _EndBrackets(NamedTuple):
         if len(self.beyond) >= _LEAST_ENDS:
             over = quantile_of(inside_by(self.ring, self.beyond), 1.0 - _TENTH)
         against = max(float(max(outside, over)) - _END_PX, 0.0)
-        return max(float(short) - _END_PX, against), against
+        within = 0.0 if self.placed else self._too_far_inside_px(astray)
+        return max(float(short) - _END_PX, within, against), against
+
+    def _too_far_inside_px(self, astray_px: float) -> float:
+        """Say how far the edge is too far inside, were light on both of its sides to end alike."""
+        next_px = -math.inf
+        if len(self.beyond) >= _LEAST_ENDS:
+            next_px = quantile_of(inside_by(self.free, self.beyond), 1.0 - _TENTH)
+        off_px = 0.5 * (astray_px - next_px) if next_px > -_FARTHEST_PX else astray_px
+        return min(off_px, _FARTHEST_PX)
 
     def contradiction_left_px(self) -> float:
         """Say how far nine in ten ends and belt points contradict the best shifted edge at most."""
@@ -256,7 +280,8 @@ def _curves_of(
     free = unbound(scene, ring)
     if light is not None:  # farther light stays on its side however the image is shifted
         light = light.near(free, 2.0 * _SHIFT_MAX_PX)
-    return _CurveBrackets(ring, free, on, beside, _ends_of(scene, ring, stripes, number), light)
+    ends = _ends_of(scene, ring, stripes, number, placed=True)  # how the images lie, `light` tells
+    return _CurveBrackets(ring, free, on, beside, ends, light)
 
 
 def _best_shifted(left_px: Callable[[Floats], float]) -> float:
@@ -269,7 +294,9 @@ def _best_shifted(left_px: Callable[[Floats], float]) -> float:
     return max(float(found.fun) - _END_PX, 0.0)
 
 
-def _ends_of(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> _EndBrackets | None:
+def _ends_of(
+    scene: Scene, ring: Floats, stripes: StripeMap, number: int, *, placed: bool
+) -> _EndBrackets | None:
     """Find the ends of what is seen of a product's stripes, and the belt next to them; None of too few."""
     ends, beyond = ends_of_stripes(stripes.x_px, stripes.seen, stripes.product, number, LEAST_ROWS)
     if stripes.circles:
@@ -284,7 +311,7 @@ def _ends_of(scene: Scene, ring: Floats, stripes: StripeMap, number: int) -> _En
         )
     if len(ends) < _LEAST_ENDS:
         return None
-    return _EndBrackets(ring, unbound(scene, ring), ends, beyond, across is not None)
+    return _EndBrackets(ring, unbound(scene, ring), ends, beyond, across is not None, placed)
 
 
 def _at_the_rim(stripes: StripeMap, number: int) -> tuple[Floats, Floats]:

@@ -69,6 +69,8 @@ _LEAST_CORE_SHARE = 5e-4
 """Of the image: smaller cores are dirt."""
 _LEAST_CORE_CONTRAST = 0.08
 """Natural logarithm of brightness: with less between dark and bright there is nothing but belt."""
+_PLACED_PX = 0.25
+"""Half of what a stripe's end is seen to: images laid over each other better need no ends to tell how they lie."""
 _GAP_ROWS = 3
 """A stripe that is not seen for longer may have something in between."""
 _NEIGHBOURS = 1.6  # spacings: stripes farther apart have another one between them that is not seen
@@ -126,16 +128,18 @@ class EdgeContour(Outliner[EdgeContourOptions]):
         product = np.zeros(frame.size, np.bool_)
         for mask in known.values():
             product |= mask
-        spacing, said = _spacing_px(stripes), None
+        spacing, placed, growth_std = _spacing_px(stripes), False, 0.0
         if use_plain and known:
-            chosen, said = laid_over(
+            overlay = laid_over(
                 chosen, _one(frame.pixels), product, spacing, grid=stripes.across is not None
             )
-            if said is not None:  # of all products, also of those that no edge is found of
+            if overlay.fault is not None:  # of all products, also of those that no edge is found of
                 return tuple(
-                    Outline(number, _ring_around(region, spacing), spacing, {}, said)
+                    Outline(number, _ring_around(region, spacing), spacing, {}, overlay.fault)
                     for number, region in known.items()
                 )
+            chosen, growth_std = overlay.plain, overlay.growth_std
+            placed = overlay.std_px < _PLACED_PX
         belt = _belt_of(self.options.belt, chosen)
         if use_plain:
             level, on_stripes = _over_belt(chosen.pixels, belt, product), None
@@ -168,10 +172,11 @@ class EdgeContour(Outliner[EdgeContourOptions]):
                     ring = _ring_around(region, spacing)
                     outlines.append(Outline(number, ring, spacing, {}, larger[number]))
                 continue
-            std_px, fault = edge.std_px, larger.get(number)
+            radius_px = math.sqrt(abs(area_of(edge.xy_px)) / math.pi)
+            std_px, fault = math.hypot(edge.std_px, growth_std * radius_px), larger.get(number)
             brackets = None
             if use_plain and known:
-                brackets = brackets_of(scene, edge.xy_px, stripes, number, of_circles)
+                brackets = brackets_of(scene, edge.xy_px, stripes, number, of_circles, placed=placed)
             if brackets is not None:
                 apart_px, against_px = brackets.disagreement_px()
                 std_px = math.hypot(std_px, apart_px) if apart_px else std_px

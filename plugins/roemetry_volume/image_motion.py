@@ -65,14 +65,27 @@ _ODD = 3.0
 """Standard deviations from which texture counts no more: an edge of a product, glare."""
 
 
-_MOVED_SIGMAS = 5.0
-"""Standard deviations from which the images have moved: by chance once in 20,000 images."""
+_MOVED_SIGMAS = 3.0
+"""Standard deviations from which the images have moved: by chance in six of a hundred images, and then by no more
+than the outlines' uncertainty says."""
+
+
+class Overlay(NamedTuple):
+    """The plain image as it lies over the laser image."""
+
+    plain: Frame
+    std_px: float
+    """Standard uncertainty of where it lies, at the image's border; infinite where no texture tells."""
+    growth_std: float = 0.0
+    """Of what it was scaled by; 0 where it was left as it was."""
+    fault: Reason | None = None
+    """Why it is of another scene; then it is as it was."""
 
 
 def laid_over(
     plain: Frame, laser: NDArray[Any], product: Flags, spacing_px: float, *, grid: bool = False
-) -> tuple[Frame, Reason | None]:
-    """Give the plain image as it lies over the laser image; or as it is, with why it is of another scene.
+) -> Overlay:
+    """Lay the plain image over the laser image.
 
     Parameters
     ----------
@@ -92,21 +105,27 @@ def laid_over(
     width = 2 * round(0.5 * spacing_px) + 1
     near = cv2.dilate(product.astype(np.uint8), np.ones((width, width), np.uint8)).astype(np.bool_)
     found = image_motion(laser, plain.pixels, near, grid=grid)
-    if found is None or (found.missed is None and not found.significant(_MOVED_SIGMAS)):
-        return plain, None
+    if found is None:
+        return Overlay(plain, math.inf)
     if found.missed is not None:
         top, bottom, left, right = found.missed
-        return plain, Reason(
+        fault = Reason(
             "images-contradict",
             f"between the rows {top} and {bottom} and the columns {left} and {right} the laser image does "
             "not show the belt that the plain-light image shows: rows or columns are lost, or a part is "
             "another frame's; look at both, and take them again",
         )
+        return Overlay(plain, math.inf, fault=fault)
+    half_px = 0.5 * max(plain.size)
+    std_px = float(np.sqrt(np.diag(found.covariance)[[0, 1]].max() + half_px**2 * found.covariance[3, 3]))
+    if not found.significant(_MOVED_SIGMAS):
+        return Overlay(plain, std_px)
     how, rows_columns = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, plain.size
     moved = cv2.warpAffine(
         plain.pixels, found.matrix, rows_columns[::-1], flags=how, borderMode=cv2.BORDER_REPLICATE
     )
-    return replace(plain, pixels=np.asarray(moved)), None
+    growth_std = math.sqrt(found.covariance[3, 3])
+    return Overlay(replace(plain, pixels=np.asarray(moved)), std_px, growth_std)
 
 
 Singles = NDArray[np.float32]
@@ -405,7 +424,8 @@ def part_sums(one: _Compared, place: Integers, rows: int, columns: int) -> Float
 def _parts(dim: _Seen, bright: Singles, motion: Floats, every: float) -> ImageMotion | None:
     """Compare the textures as a whole and part by part; None where neither is alike.
 
-    The gain is that of the parts that are alike: of a torn frame the others would lower it.
+    The gain is that of the parts that are alike: of a torn frame the others would lower it. No part must show
+    more texture than is usual: what else varies is the rim of a shadow, which plain light alone throws.
     """
     one, (rows, columns) = _compared(dim, bright, motion, every), dim.size
     count, both, of_a, of_b = part_sums(one, dim.place, rows, columns)
@@ -415,7 +435,9 @@ def _parts(dim: _Seen, bright: Singles, motion: Floats, every: float) -> ImageMo
     if whole < _CLEAR and not alike.any():
         return None
     gain = both[alike].sum() / of_a[alike].sum() if alike.any() else 0.0
-    other = (gain * of_a * scale > _CLEAR) & (both * scale < _MISSED)
+    seen = count > 0.0
+    usual = median_of(of_a[seen] / count[seen]) if seen.any() else 0.0
+    other = (gain * np.minimum(of_a, usual * count) * scale > _CLEAR) & (both * scale < _MISSED)
     missed = None
     if other.sum() >= _PARTS_MIN:
         down, across = np.nonzero(other.reshape(_PARTS))
