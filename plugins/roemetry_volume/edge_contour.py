@@ -70,7 +70,7 @@ _LEAST_CORE_SHARE = 5e-4
 _LEAST_CORE_CONTRAST = 0.08
 """Natural logarithm of brightness: with less between dark and bright there is nothing but belt."""
 _PLACED_PX = 0.25
-"""Half of what a stripe's end is seen to: images laid over each other better need no ends to tell how they lie."""
+"""Half of what a stripe's end is seen to: images that are better placed need no ends to say how they lie."""
 _GAP_ROWS = 3
 """A stripe that is not seen for longer may have something in between."""
 _NEIGHBOURS = 1.6  # spacings: stripes farther apart have another one between them that is not seen

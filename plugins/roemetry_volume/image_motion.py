@@ -66,8 +66,8 @@ _ODD = 3.0
 
 
 _MOVED_SIGMAS = 3.0
-"""Standard deviations from which the images have moved: by chance in six of a hundred images, and then by no more
-than the outlines' uncertainty says."""
+"""Standard deviations from which the images have moved: by chance in six of a hundred images, and then by no
+more than the outlines' uncertainty says."""
 
 
 class Overlay(NamedTuple):

@@ -266,7 +266,8 @@ def test_images_of_two_scenes_refuse_every_product_also_one_without_an_edge(
 ) -> None:
     two = ((95.0, 120.0, 60.0, 40.0), (260.0, 115.0, 70.0, 45.0))
     said = Reason("images-contradict", "the laser image does not show this belt")
-    monkeypatch.setattr(edge_contour, "laid_over", lambda plain, *_, **__: Overlay(plain, math.inf, fault=said))
+    refused = Overlay(Frame(np.zeros((ROWS, COLUMNS), np.uint8)), math.inf, fault=said)
+    monkeypatch.setattr(edge_contour, "laid_over", lambda *_, **__: refused)
     found = EdgeContour().outline(LASER, plain_image(rng, two[:1]), stripes_on(two), None)
     assert [(one.product, one.fault) for one in found] == [(1, said), (2, said)]
 
