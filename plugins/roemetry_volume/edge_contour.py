@@ -130,9 +130,7 @@ class EdgeContour(Outliner[EdgeContourOptions]):
             product |= mask
         spacing, placed, growth_std = _spacing_px(stripes), False, 0.0
         if use_plain and known:
-            overlay = laid_over(
-                chosen, _one(frame.pixels), product, spacing, grid=stripes.across is not None
-            )
+            overlay = laid_over(chosen, _one(frame.pixels), product, spacing, grid=stripes.across is not None)
             if overlay.fault is not None:  # of all products, also of those that no edge is found of
                 return tuple(
                     Outline(number, _ring_around(region, spacing), spacing, {}, overlay.fault)
