@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from queue import Empty, SimpleQueue
 from types import FrameType
 from typing import Any
 
@@ -61,13 +63,12 @@ def not_counted() -> Iterator[None]:
         finally:
             signal.setitimer(signal.ITIMER_REAL, left_s)
         return
-    thread = threading.get_ident()
-    left = _watch.pause(thread)
+    limit = _watch.pause()
     try:
         yield
     finally:
-        if left is not None:
-            _watch.begin(thread, left)
+        if limit is not None:
+            _watch.resume(limit)
 
 
 class _ByTimer:
@@ -93,13 +94,12 @@ class _ByTimer:
 
 @contextmanager
 def _by_watch(limit_s: float) -> Iterator[None]:
-    thread = threading.get_ident()
-    begun = _watch.begin(thread, limit_s)
+    begun = _watch.begin(limit_s)
     try:
         yield
     finally:
-        if begun:
-            _watch.end(thread)
+        if begun is not None:
+            _watch.end(begun)
 
 
 class _Timer:
@@ -140,56 +140,89 @@ class _Timer:
         raise StageTimeout
 
 
+class _Limit:
+    """A limit of a thread that is no main thread."""
+
+    __slots__ = ("end_s", "left_s", "raised", "thread")
+
+    def __init__(self, limit_s: float) -> None:
+        self.thread, self.raised = threading.get_ident(), False
+        self.left_s, self.end_s = limit_s, math.inf
+
+
 class _Watch:
-    """Raises `StageTimeout` in threads whose time is up, from a thread of its own."""
+    """Raises `StageTimeout` in threads whose time is up, from a thread of its own.
+
+    The error may arrive at any step of such a thread, also here. A lock that it held then would stay locked,
+    and every later limit would wait for it; so threads that have limits take no lock. Whoever takes a limit
+    out of `_running`, one step for Python, decides what becomes of it.
+    """
 
     def __init__(self) -> None:
-        self._ends: dict[int, float] = {}
-        self._raised: set[int] = set()
-        self._looks_at = float("inf")
-        self._changed = threading.Condition()
-        self._started = False
+        self._running: dict[_Limit, None] = {}
+        self._of_thread = threading.local()
+        self._looks_at_s = math.inf
+        self._earlier = SimpleQueue[None]()
+        self._starting, self._started = threading.Lock(), False
 
-    def begin(self, thread: int, limit_s: float) -> bool:
-        """Give a thread so long from now; False where it has a limit already, which stays."""
-        with self._changed:
-            if thread in self._ends or thread in self._raised:  # one whose time is up is on its way, too
-                return False
-            if not self._started:
-                self._started = True
-                threading.Thread(target=self._run, name="roemetry-time-limit", daemon=True).start()
-            self._ends[thread] = end = time.monotonic() + limit_s
-            if end < self._looks_at:  # else it looks early enough: most stages end long before
-                self._changed.notify()
-            return True
+    def begin(self, limit_s: float) -> _Limit | None:
+        """Give this thread so long from now; None where it has a limit already, which stays."""
+        if getattr(self._of_thread, "limit", None) in self._running:
+            return None
+        if not self._started:
+            self._start()
+        self._of_thread.limit = limit = _Limit(limit_s)
+        self.resume(limit)
+        return limit
 
-    def pause(self, thread: int) -> float | None:
-        """Take the limit away for a while and give what is left of it, s; None where there is none.
+    def pause(self) -> _Limit | None:
+        """Stop the clock of this thread's limit; None where there is none.
 
         Where its time is up already, `StageTimeout` is on its way and arrives.
         """
-        with self._changed:
-            end = self._ends.pop(thread, None)
-        return None if end is None else max(0.0, end - time.monotonic())
+        limit: _Limit | None = getattr(self._of_thread, "limit", None)
+        if limit is None or self._running.pop(limit, _GONE) is _GONE:
+            return None
+        limit.left_s = max(0.0, limit.end_s - time.monotonic())
+        return limit
 
-    def end(self, thread: int) -> None:
-        """Take the limit away; what was raised and did not arrive never will."""
-        with self._changed:
-            self._ends.pop(thread, None)
-            if thread in self._raised:
-                self._raised.discard(thread)
-                _raise_in(thread, None)
+    def resume(self, limit: _Limit) -> None:
+        """Let a limit's clock go on."""
+        limit.end_s = time.monotonic() + limit.left_s
+        self._running[limit] = None
+        if limit.end_s < self._looks_at_s:  # else it looks early enough: most stages end long before
+            self._earlier.put(None)
+
+    def end(self, limit: _Limit) -> None:
+        """Take a limit away; what was raised and did not arrive never will."""
+        if self._running.pop(limit, _GONE) is not _GONE:
+            return
+        while not limit.raised:  # its time is up, and the error arrives at any step from here on
+            time.sleep(0.0)
+        _raise_in(limit.thread, None)
+
+    def _start(self) -> None:
+        with self._starting:
+            if not self._started:
+                threading.Thread(target=self._run, name="roemetry-time-limit", daemon=True).start()
+                self._started = True
 
     def _run(self) -> None:
-        with self._changed:
-            while True:
-                now = time.monotonic()
-                for thread in [thread for thread, end in self._ends.items() if end <= now]:
-                    del self._ends[thread]
-                    self._raised.add(thread)
-                    _raise_in(thread, StageTimeout)
-                self._looks_at = min(self._ends.values(), default=float("inf"))
-                self._changed.wait(None if not self._ends else self._looks_at - now)
+        while True:
+            self._looks_at_s = math.inf  # what begins while this looks says so
+            now_s, next_s = time.monotonic(), math.inf
+            for limit in list(self._running):
+                if limit.end_s > now_s:
+                    next_s = min(next_s, limit.end_s)
+                elif self._running.pop(limit, _GONE) is not _GONE:
+                    _raise_in(limit.thread, StageTimeout)
+                    limit.raised = True
+            self._looks_at_s = next_s
+            with suppress(Empty):
+                self._earlier.get(timeout=None if next_s == math.inf else max(0.0, next_s - time.monotonic()))
+
+
+_GONE = object()
 
 
 def _raise_in(thread: int, error: type[BaseException] | None) -> None:

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from roemetry.run.time_limit import StageTimeout, time_limit, timer_kept
+from roemetry.run.time_limit import StageTimeout, not_counted, time_limit, timer_kept
 
 
 def works_for(seconds: float) -> None:
@@ -45,6 +45,26 @@ def ends_before() -> str:
     return "undisturbed"
 
 
+def hangs_after_many_that_just_ended() -> str:
+    ends_before()
+    return hangs()
+
+
+def does_not_count_what_others_do() -> str:
+    with time_limit(0.2):
+        with not_counted():
+            works_for(0.5)
+        works_for(0.01)
+    try:
+        with time_limit(0.2):
+            with not_counted():
+                works_for(0.1)
+            works_for(60.0)
+    except StageTimeout:
+        return "it goes on"
+    return "lost"
+
+
 def is_within_another() -> str:
     try:
         with time_limit(0.1):
@@ -58,13 +78,19 @@ def is_within_another() -> str:
 
 @pytest.mark.parametrize(
     ("does", "comes_to"),
-    [(hangs, "in time"), (ends_before, "undisturbed"), (is_within_another, "the outer one holds")],
+    [
+        (hangs, "in time"),
+        (ends_before, "undisturbed"),
+        (hangs_after_many_that_just_ended, "in time"),
+        (is_within_another, "the outer one holds"),
+        (does_not_count_what_others_do, "it goes on"),
+    ],
 )
 def test_a_limit_holds_in_every_thread_alone(does: Callable[[], str], comes_to: str) -> None:
     with ThreadPoolExecutor(2) as pool:
         beside = pool.submit(works_for, 0.3)
-        assert pool.submit(does).result() == comes_to
-        beside.result()
+        assert pool.submit(does).result(timeout=60.0) == comes_to
+        beside.result(timeout=60.0)
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timer")
