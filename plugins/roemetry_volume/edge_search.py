@@ -85,7 +85,7 @@ _BLURS, _FAR_LESS = (1.6, 2.1, 2.7, 3.5), 0.6
 of what the usual one leaves. Sharp images are explained worse by all of them."""
 _MODEL_STD_PX = 0.25
 """Of the brightness model, in plain light: how far whole contours lie beside a body's silhouette, root mean
-square over families and makers. Wet skeins by `mitsuba` lie 0.35 to 0.84 px inside, for a wet rim is dark, its
+square over families and makers. Wet skeins by `mitsuba` lie 0.35 to 0.84 px inside, as a wet rim is dark, its
 potatoes 0.13 to 0.18 px, its rolls 0.1 px at most; skeins of others, by their volumes, 0.1 to 0.3 px."""
 _LASER_STD_PX = 0.3
 """A stripe's scattered light reaches beyond where it was taken out: 0.1 to 0.4 px on six rigs."""
