@@ -32,11 +32,11 @@ from benchmarks.command import add_sharing, keep, kept, parser_of, shared
 from benchmarks.disturbances import (
     DISTURBANCES,
     MOTIONS,
-    OF_PLAIN,
     Disturbance,
     Image,
     Motion,
     Scene,
+    disturbs,
     moved_scenes,
     of_frames,
 )
@@ -172,7 +172,7 @@ class _Disturbed:
             for word, scenes in self._scenes.items()
             for k, scene in enumerate(scenes)
             for name in names
-            if scene.lines is None or name not in OF_PLAIN
+            if disturbs(name, scene)
         ]
 
     def __call__(self, task: tuple[int, tuple[tuple[str, int], str]]) -> Case:
