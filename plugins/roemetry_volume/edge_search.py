@@ -80,9 +80,9 @@ _BLUR_PX = 0.6  # of a sharp lens, with the resampling of the image
 _BLUR_UNSURE = 0.33
 """Nobody has measured this camera's: half of what a third more or less would change. Out of focus all of it:
 the kink fades, and round bodies have come out too far inside by as much as blocks too far outside."""
-_BLURS, _FAR_LESS = (1.6, 2.1, 2.7, 3.5), 0.6
-"""Times the usual blur that are tried, as far as each explains more; and what the first has to leave at most
-of what the usual one leaves. Sharp images are explained worse by all of them."""
+_BLURS, _FAR_LESS = (1.6, 2.1, 2.7, 3.5, 4.5, 5.8), 0.6
+"""Times the usual blur that are tried, as far as each explains more; and what the last has to leave at most of
+what the usual one leaves. Sharp images are explained worse by the first."""
 _MODEL_STD_PX = 0.25
 """Of the brightness model, in plain light: how far whole contours lie beside a body's silhouette, root mean
 square over families and makers. Wet skeins by `mitsuba` lie 0.35 to 0.84 px inside, as a wet rim is dark, its
@@ -394,13 +394,14 @@ def _blur_of(across: _Across, usual_px: float) -> float:
         cost = left_over(across.light, _model(blur_px), _PLACES_PX.size)[0]
         return median_of(cost.min(axis=1)[across.told])
 
-    found_px, least = usual_px, _FAR_LESS * unexplained(usual_px)
+    found_px = usual_px
+    least = usual = unexplained(usual_px)
     for times in _BLURS:
         left = unexplained(times * usual_px)
         if left > least:
             break
         found_px, least = times * usual_px, left
-    return found_px
+    return found_px if least < _FAR_LESS * usual else usual_px
 
 
 _OFF_PX = np.arange(-_REACH_PX, _REACH_PX + 0.5 * _STEP_PX, _STEP_PX)
