@@ -30,8 +30,8 @@ from roemetry_coding.belt_lines import PEAKS_MIN, fitted, model_of
 _LIGHT = Light("circles", "the calibrated ones", "image's top and bottom")
 _HALVES_RMS_PX = 0.07
 """Of the halves' mean distances from where the motion takes them: at most 0.06 of twelve potatoes, sound,
-moved by up to 3 px, noisy, dim, out of focus or JPEG; 0.07 to 0.24 where one column is lost, and volumes are up
-to 4 % off."""
+moved by up to 3 px, noisy, dim, out of focus or JPEG; 0.07 to 0.24 where one column is lost, and volumes are
+up to 4 % off."""
 _HALVES_MIN = 4
 """Halves on the belt that tell it: as many as a motion has numbers."""
 

@@ -81,8 +81,8 @@ _BLUR_UNSURE = 0.33
 """Nobody has measured this camera's: half of what a third more or less would change. Out of focus all of it:
 the kink fades, and round bodies have come out too far inside by as much as blocks too far outside."""
 _BLURS, _FAR_LESS = (1.6, 2.1, 2.7, 3.5, 4.5, 5.8), 0.6
-"""Times the usual blur that are tried, as far as each explains more; and what the last has to leave at most of
-what the usual one leaves. Sharp images are explained worse by the first."""
+"""Times the usual blur that are tried, as far as each explains more; and what the last has to leave at most
+of what the usual one leaves. Sharp images are explained worse by the first."""
 _MODEL_STD_PX = 0.25
 """Of the brightness model, in plain light: how far whole contours lie beside a body's silhouette, root mean
 square over families and makers. Wet skeins by `mitsuba` lie 0.35 to 0.84 px inside, as a wet rim is dark, its
