@@ -109,8 +109,8 @@ class GridPlanes(Coder[PlanesOptions]):
             white = float(np.mean((np.append(peaks.flags, peaks.across.flags) & SATURATED) > 0))
             if white > _WHITE_MAX:
                 raise StageError(
-                    f"{white:.0%} of the peaks are saturated, and heights of both families agree at "
-                    f"{met.agree.sum()} of {met.agree.size} crossings only",
+                    f"{white:.0%} of the peaks are saturated, and heights of both families agree at only "
+                    f"{met.agree.sum()} of {met.agree.size} crossings",
                     hint="shorten the exposure: where lines cross there is twice as much light",
                 )
             if not met.agree.size:
@@ -118,8 +118,8 @@ class GridPlanes(Coder[PlanesOptions]):
                     "no line crosses one of the other family", hint="is this an image of a grid?"
                 )
             raise StageError(
-                f"where lines cross, both families agree on the height at {met.agree.sum()} of "
-                f"{met.agree.size} places only: image and calibration do not belong together",
+                f"heights of both families agree at only {met.agree.sum()} of {met.agree.size} crossings: "
+                "image and calibration do not belong together",
                 hint="look at the image; was it turned, another pattern used, or the camera moved?",
             )
         upright, gone = _kept(upright, peaks, met.stripe, met.row, met.agree)
@@ -131,8 +131,8 @@ class GridPlanes(Coder[PlanesOptions]):
         if gone + gone_across:
             said = Reason(
                 "crossings-disagree",
-                f"{gone + gone_across} runs of lines were refused: heights do not agree where they cross the "
-                "other family, or they cross none of it",
+                f"{gone + gone_across} runs of lines were refused: their heights do not agree with those of "
+                "the lines that they cross, or they cross no line",
             )
             upright = replace(upright, reasons=(*upright.reasons, said))
         return replace(upright, across=across)
