@@ -101,8 +101,8 @@ class GridPlanes(Coder[PlanesOptions]):
             across = planes.code(peaks.across, calibration.across)
         except StageError as error:
             raise StageError(f"lines across: {error.message}", hint=error.hint) from error
-        upright = _followed(_without_strays(upright), peaks)
-        across = _followed(_without_strays(across), peaks.across)
+        upright = _followed(_without_shadow_edges(upright), peaks)
+        across = _followed(_without_shadow_edges(across), peaks.across)
         pair = _Families(calibration, calibration.across)
         met = _crossings(upright, across, pair)
         if not met.agree.size or met.agree.mean() < 1.0 - _CONTRADICTED_MAX:
@@ -383,7 +383,7 @@ def _nearest_two(peak_px: Floats, first: int, end: int, expected_px: float) -> t
     return best, near, apart
 
 
-def _without_strays(stripes: StripeMap) -> StripeMap:
+def _without_shadow_edges(stripes: StripeMap) -> StripeMap:
     """Leave out short pieces off the belt that a bridged gap joins to what they do not belong to.
 
     Where the edge of a shadow cuts a line obliquely, its last rows on the belt lie beside their rest line.
