@@ -1,7 +1,7 @@
 """What the shipped recipe gives on its first three skeins, for `roemetry doctor` to compare with.
 
-``python -m benchmarks reference_values`` writes ``recipes/herring_roe/reference_values.csv`` anew; do so when the
-recipe or an algorithm in it changes, and look at the difference.
+``python -m benchmarks reference_values`` writes ``recipes/herring_roe/reference_values.csv`` again. Run it
+when the recipe or an algorithm in it changes, and look at the difference.
 """
 
 from __future__ import annotations
