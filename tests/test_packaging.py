@@ -9,7 +9,7 @@ from pathlib import Path
 
 from roemetry.stages import INTERFACES
 from roemetry.stages.registry import discover
-from roemetry_tools.doctor import KNOWN_NUMBERS, known_numbers
+from roemetry_tools.doctor import REFERENCE_VALUES, reference_values
 
 LIBRARIES = {"roemetry_kernels"}
 
@@ -43,8 +43,8 @@ def test_all_that_the_doctor_needs_lies_in_the_package(root: Path) -> None:
     build = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"]["build"]
     included = build["targets"]["wheel"]["force-include"]
     folder = root / "recipes" / "herring_roe"
-    names = {row.partition("#")[0] for row in known_numbers(folder)}
-    needed = ["recipe.yaml", "calibration.yaml", KNOWN_NUMBERS, *(f"images/{name}.png" for name in names)]
+    names = {row.partition("#")[0] for row in reference_values(folder)}
+    needed = ["recipe.yaml", "calibration.yaml", REFERENCE_VALUES, *(f"images/{name}.png" for name in names)]
     for name in (f"recipes/herring_roe/{name}" for name in needed):
         assert any(name == path or name.startswith(f"{path}/") for path in included), name
 

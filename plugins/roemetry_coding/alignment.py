@@ -96,8 +96,8 @@ def refuse_far(outer: int, outer_fit: int, light: Light) -> None:
     """
     if outer and outer_fit < _OUTER_FIT_MIN * outer:
         raise StageError(
-            f"of the {light.what} at the {light.ends} only {outer_fit / outer:.0%} "
-            f"lie within a pixel or so of {light.where}, however a camera is moved a little",
+            f"only {outer_fit / outer:.0%} of the {light.what} at the {light.ends} lie within about a pixel "
+            f"of {light.where}, with any small motion of the camera",
             hint="camera, laser or belt have moved far, or the calibration is of another rig: "
             "calibrate again",
         )
@@ -150,8 +150,8 @@ def alignment_of(
         reasons.append(
             Reason(
                 "belt-not-seen",
-                "too little of the bare belt is seen to say better than to "
-                f"{2 * largest_std:.1f} px whether camera, laser or belt have moved",
+                "too little of the bare belt is seen: whether camera, laser or belt have moved is known only "
+                f"to {2 * largest_std:.1f} px",
             )
         )
     shifts = np.array([natural[0] / focal_px, natural[3] if math.isfinite(focal_px) else 0.0])[:distant]

@@ -69,7 +69,7 @@ def _refuse_halves_apart(half_px: Floats) -> None:
     rms_px = float(np.sqrt(np.mean(known_px**2))) if known_px.size >= _HALVES_MIN else 0.0
     if rms_px > _HALVES_RMS_PX:
         raise StageError(
-            f"halves of circles on the belt lie {rms_px:.2f} px (rms) beside where any motion of the camera "
-            "takes them: columns of the image are lost, or the rig is another one",
+            f"halves of circles on the belt lie {rms_px:.2f} px (rms) beside the calibrated ones, which no "
+            "motion of the camera explains: columns of the image are lost, or it is another rig",
             hint="look at the image; take it again, or calibrate again",
         )

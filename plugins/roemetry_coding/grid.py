@@ -101,16 +101,16 @@ class GridPlanes(Coder[PlanesOptions]):
             across = planes.code(peaks.across, calibration.across)
         except StageError as error:
             raise StageError(f"lines across: {error.message}", hint=error.hint) from error
-        upright = _followed(_without_strays(upright), peaks)
-        across = _followed(_without_strays(across), peaks.across)
+        upright = _followed(_without_shadow_edges(upright), peaks)
+        across = _followed(_without_shadow_edges(across), peaks.across)
         pair = _Families(calibration, calibration.across)
         met = _crossings(upright, across, pair)
         if not met.agree.size or met.agree.mean() < 1.0 - _CONTRADICTED_MAX:
             white = float(np.mean((np.append(peaks.flags, peaks.across.flags) & SATURATED) > 0))
             if white > _WHITE_MAX:
                 raise StageError(
-                    f"{white:.0%} of the peaks are saturated, and heights of both families agree at "
-                    f"{met.agree.sum()} of {met.agree.size} crossings only",
+                    f"{white:.0%} of the peaks are saturated, and heights of both families agree at only "
+                    f"{met.agree.sum()} of {met.agree.size} crossings",
                     hint="shorten the exposure: where lines cross there is twice as much light",
                 )
             if not met.agree.size:
@@ -118,8 +118,8 @@ class GridPlanes(Coder[PlanesOptions]):
                     "no line crosses one of the other family", hint="is this an image of a grid?"
                 )
             raise StageError(
-                f"where lines cross, both families agree on the height at {met.agree.sum()} of "
-                f"{met.agree.size} places only: image and calibration do not belong together",
+                f"heights of both families agree at only {met.agree.sum()} of {met.agree.size} crossings: "
+                "image and calibration do not belong together",
                 hint="look at the image; was it turned, another pattern used, or the camera moved?",
             )
         upright, gone = _kept(upright, peaks, met.stripe, met.row, met.agree)
@@ -131,8 +131,8 @@ class GridPlanes(Coder[PlanesOptions]):
         if gone + gone_across:
             said = Reason(
                 "crossings-disagree",
-                f"{gone + gone_across} runs of lines were refused: heights do not agree where they cross the "
-                "other family, or they cross none of it",
+                f"{gone + gone_across} runs of lines were refused: their heights do not agree with those of "
+                "the lines that they cross, or they cross no line",
             )
             upright = replace(upright, reasons=(*upright.reasons, said))
         return replace(upright, across=across)
@@ -383,7 +383,7 @@ def _nearest_two(peak_px: Floats, first: int, end: int, expected_px: float) -> t
     return best, near, apart
 
 
-def _without_strays(stripes: StripeMap) -> StripeMap:
+def _without_shadow_edges(stripes: StripeMap) -> StripeMap:
     """Leave out short pieces off the belt that a bridged gap joins to what they do not belong to.
 
     Where the edge of a shadow cuts a line obliquely, its last rows on the belt lie beside their rest line.

@@ -89,8 +89,9 @@ class Pieces(Coder[PiecesOptions]):
         options = self.options
         if calibration is not None:
             raise StageError(
-                "the coder `pieces` counts stripes from the first that is seen in the image: its numbers are "
-                f"not those of the calibration's {calibration.stripe_count} planes, and no height follows",
+                "the coder `pieces` numbers stripes from the first one seen in the image: its numbers are "
+                f"not those of the calibration's {calibration.stripe_count} planes, so heights cannot be "
+                "computed",
                 hint="with a calibration use the coder `planes`; for numbers alone leave the calibration out",
             )
         refuse_uncodable(peaks, None)
@@ -100,7 +101,7 @@ class Pieces(Coder[PiecesOptions]):
         share = rows[big].sum() / len(peaks)
         if big.sum() > _PIECES_MAX or share < _PIECES_SHARE_MIN:
             raise StageError(
-                f"{int(big.sum())} pieces were traced, of {share:.0%} of the peaks: that is noise, "
+                f"{int(big.sum())} pieces were traced, with {share:.0%} of the peaks: that is noise, "
                 "not stripes",
                 hint="raise the extractor's threshold",
             )
@@ -135,9 +136,8 @@ def _said(pieces: int, number: np.ndarray, stripes: int) -> Reason:
     """Say what the numbers are, and how much they say."""
     return Reason(
         "relative-numbers",
-        f"there is no calibration: stripes are counted from the first that is seen, {stripes} of them; which "
-        f"plane of light made them is not known, nor what is belt. {int((number >= 0).sum())} of {pieces} "
-        "pieces are numbered",
+        f"there is no calibration: {stripes} stripes are numbered from the first one seen; their laser "
+        f"planes and the belt are not known. {int((number >= 0).sum())} of {pieces} pieces are numbered",
     )
 
 

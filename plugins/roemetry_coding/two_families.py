@@ -75,8 +75,8 @@ class TwoFamilies(Coder[PlanesOptions]):
             said.append(
                 Reason(
                     "families-disagree",
-                    f"{int(off.sum())} peaks are left out: they lie off the lines of the other colour, or "
-                    "both colours together say another number",
+                    f"{int(off.sum())} peaks are left out: they do not lie on the surface of the other "
+                    "colour, or get another label if both colours are coded together",
                 )
             )
         return bridged(

@@ -94,8 +94,8 @@ def refuse_unexplained_gaps(
     names = ", ".join(str(number) for number in np.flatnonzero(interrupted) + 1)
     said = Reason(
         "unexplained-gap",
-        f"stripe {names} is interrupted where nothing is seen that could hide it; a flat product one stripe "
-        "spacing of displacement high looks like that, so what lies beside it is left out",
+        f"stripe {names} is interrupted, and nothing that is seen could hide it; a flat product one label "
+        "height high looks like that, so the peaks beside it are left out",
     )
     return result, [said]
 

@@ -267,12 +267,12 @@ _DARK_ROWS_MAX = 32  # that are searched for dark lines where nothing bright is 
 _PIXELS_A_ROW = 160  # that tell of the ground
 _ODD = Reason(
     "upside-down",
-    "what was found is wider than the gaps between: the stripes are darker than their surroundings "
-    "(then give the complement of the image), or too near to each other",
+    "the stripes found are wider than the gaps between them: they are darker than their surroundings "
+    "(then invert the image), or too near to each other",
 )
 _DARK = Reason(
     "upside-down",
-    "no bright stripe was found, but dark lines: give the complement of the image if they are meant",
+    "no bright stripe was found, but dark lines: invert the image if these are the stripes",
 )
 
 

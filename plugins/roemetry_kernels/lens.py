@@ -164,16 +164,16 @@ def distort_places(xy: Floats, coefficients: Floats) -> tuple[Floats, Floats, Fl
 
 
 @float_kernel
-def undistort_places(bent: Floats, coefficients: Floats, start: Floats) -> Floats:
+def undistort_places(distorted: Floats, coefficients: Floats, start: Floats) -> Floats:
     """Give (n, 2) places that the lens moves to the given ones, sought from `start`.
 
     Where no place was found, the last one tried.
     """
-    found = np.empty(bent.shape)
+    found = np.empty(distorted.shape)
     lens = lens_from(coefficients, 0)
-    for n in range(bent.shape[0]):
+    for n in range(distorted.shape[0]):
         x, y, _, _, _, _ = undistorted_place(
-            bent[n, 0], bent[n, 1], start[n, 0], start[n, 1], lens, _STEP_END
+            distorted[n, 0], distorted[n, 1], start[n, 0], start[n, 1], lens, _STEP_END
         )
         found[n, 0], found[n, 1] = x, y
     return found

@@ -184,7 +184,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
             raise StageError("what was found in the image is too small to be stripes")
         if big.size > _PIECES_MAX or rows[big].sum() < _PIECES_SHARE_MIN * len(peaks):
             raise StageError(
-                f"{big.size} pieces were traced, of {rows[big].sum() / len(peaks):.0%} of the peaks: "
+                f"{big.size} pieces were traced, with {rows[big].sum() / len(peaks):.0%} of the peaks: "
                 "that is noise, not stripes",
                 hint="raise the extractor's threshold",
             )
@@ -410,8 +410,8 @@ def drop_doubles(peaks: Peaks, stripe: Integers, line: Integers, segment_rows: I
 
 _NO_BELT = Reason(
     "no-belt",
-    "there is no calibration, and no belt at the image's top and bottom to number the stripes by: each "
-    "traced piece has a number of its own; which pieces are one stripe is not known, nor what is belt",
+    "there is no calibration, and no belt at the image's top and bottom by which to number the stripes: each "
+    "traced piece has a number of its own; which pieces form one stripe, and what is belt, is not known",
 )
 
 
@@ -423,7 +423,7 @@ def refuse_dark_rows(peaks: Peaks) -> None:
         at = int(gaps.argmax())
         first = int(lit[at - 1]) + 1 if at else 0
         raise StageError(
-            f"{int(gaps.max()) - 1} rows on end show no stripe at all, from row {first}",
+            f"{int(gaps.max()) - 1} consecutive rows show no stripe at all, from row {first}",
             hint="the image is damaged, or the laser was off or covered for a part of it",
         )
 

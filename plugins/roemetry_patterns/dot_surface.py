@@ -256,10 +256,10 @@ def _scene_of(product: Product) -> _Scene:
     if lines < _SLICES_MIN and product.calibration.rays is None:
         low, high = xyz.min(axis=0), xyz.max(axis=0)
         raise StageError(
-            f"{lines} of the lines lie on the product, {_SLICES_MIN} are the least: they show where it lies, "
+            f"{lines} of the lines lie on the product, and a volume needs {_SLICES_MIN}; its position is "
             f"X = {low[0]:.1f} to {high[0]:.1f} mm, Y = {low[1]:.1f} to {high[1]:.1f} mm, up to "
-            f"Z = {high[2]:.1f} mm, and not its volume",
-            hint="throw more lines, or dots; a cross hair shows a position",
+            f"Z = {high[2]:.1f} mm",
+            hint="project more lines, or dots; a cross hair shows only a position",
         )
     every_xy, place = xyz[:, :2], np.argwhere(on)
     std = np.nan_to_num(std, nan=_FLAT_STD_MM)
@@ -274,9 +274,9 @@ def _scene_of(product: Product) -> _Scene:
     outline, view = product.outline, product.view
     if outline is None and view is not None and len(view.cones):
         raise StageError(
-            "no outline was found, or none that agrees with the light: between circles, and where they run "
-            "along rows, no point shows where the product ends",
-            hint="look at the plain-light image, and take both again; a recipe without an outliner has none",
+            "circles need an outline, and none was found, or none that agrees with the light: between "
+            "circles, and where they run along rows, no point shows where the product ends",
+            hint="look at the plain-light image, and take both again; the recipe needs an outliner",
         )
     if outline is None or view is None:
         hull = _hull(every_xy)

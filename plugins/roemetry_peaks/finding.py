@@ -107,10 +107,10 @@ def found(
     else:  # quicker on one number
         contrast2[0] *= 1.0 + beyond_linear * float(contrast2[0])
     centres(levels, columns, stripes, frame.highest, noise, contrast2, x_px, x_std_px, *settings)
-    outside, half_seen = what_is_odd(x_px, stripes.flags, columns)
-    if half_seen:
-        middles_of_half_seen(stripes, noise, contrast2, x_px, x_std_px)
-        outside, _ = what_is_odd(x_px, stripes.flags, columns)
+    outside, clipped = outside_or_clipped(x_px, stripes.flags, columns)
+    if clipped:
+        middles_of_clipped(stripes, noise, contrast2, x_px, x_std_px)
+        outside, _ = outside_or_clipped(x_px, stripes.flags, columns)
     fields: dict[str, Any] = {
         "row": stripes.row,
         "x_px": x_px,
@@ -123,7 +123,7 @@ def found(
     if outside:
         inside = (x_px >= 0.0) & (x_px <= columns - 1.0)  # where there is none, NaN
         fields = {name: values[inside] for name, values in fields.items()}
-    if half_seen:
+    if clipped:
         fields = _with_leaving(fields, levels, columns, area, frame, stripes, x_px)
     # Speckle is as long along the stripe as across it; the sensor's noise is not correlated at all.
     rows = options.speckle_length_px if speckled else 0.0
@@ -146,7 +146,7 @@ def _with_leaving(
 ) -> dict[str, Any]:
     """Add the rows in which overexposed stripes leave the image, to what is known of each peak."""
     # few images have any
-    whose, row, x_px, x_std_px, width_px = leaving_stripes(
+    whose, row, x_px, x_std_px, width_px = stripes_leaving_image(
         levels, columns, area, frame.highest, stripes, x_px
     )
     if not whose.size:
@@ -204,7 +204,7 @@ _OF_GLARE = 0.25
 
 
 @kernel
-def what_is_odd(x_px: Floats, flags: NDArray[np.uint8], columns: int) -> tuple[bool, bool]:
+def outside_or_clipped(x_px: Floats, flags: NDArray[np.uint8], columns: int) -> tuple[bool, bool]:
     """Say whether a centre lies outside of the image or is none, and whether a stripe may be half seen."""
     inside, highest = 0, np.uint8(0)
     last = columns - 1.0
@@ -216,9 +216,7 @@ def what_is_odd(x_px: Floats, flags: NDArray[np.uint8], columns: int) -> tuple[b
 
 
 @float_kernel
-def middles_of_half_seen(
-    s: Stripes, noise: Floats, contrast2: Floats, x_px: Floats, x_std_px: Floats
-) -> None:
+def middles_of_clipped(s: Stripes, noise: Floats, contrast2: Floats, x_px: Floats, x_std_px: Floats) -> None:
     """Take the middle for the centre where a top is cut off at white and a flank is not seen, in place.
 
     That is where the border cuts it off above half height, and in glare. What a method makes of the pixels
@@ -261,7 +259,7 @@ _TURNS, _BENDS = 0.3, 0.05  # by how much a row counts in where the flank is, an
 
 
 @float_kernel
-def leaving_stripes(
+def stripes_leaving_image(
     levels: Pixels, columns: int, area: Area, white: int, s: Stripes, x_px: Floats
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats, Floats]:
     """Give the rows in which overexposed stripes leave the image, as long as their middles are inside.

@@ -147,8 +147,8 @@ def corrected(
 
 _SKEWED = Reason(
     "profile-lopsided",
-    "the stripes' profiles are lopsided, alike in all rows: where the centre lies is a matter of definition; "
-    "the stated uncertainty was widened by as much. Check the focus and alignment of laser and camera",
+    "the stripes' profiles are asymmetric in all rows alike, so the position of the centre depends on its "
+    "definition; the stated uncertainty includes that. Check the focus and alignment of laser and camera",
 )
 
 
@@ -157,8 +157,8 @@ def _scatter(factor: float) -> Reason:
     how = "more" if factor > 1.0 else "less"
     return Reason(
         "noise-contradicted",
-        f"centres scatter {how} along the stripes than the noise that is told or assumed explains; stated "
-        "uncertainties were scaled to what is observed. Check the sensor's gain and read noise and the "
+        f"centres scatter {how} along the stripes than the stated or assumed noise explains; stated "
+        "uncertainties were scaled to the observed scatter. Check the sensor's gain and read noise and the "
         "speckle's length, or measure them by python -m roemetry_peaks.measure_noise",
     )
 

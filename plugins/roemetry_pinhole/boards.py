@@ -54,7 +54,7 @@ class BoardNotFoundError(Exception):
         return self._why if isinstance(self._why, str) else self._why()
 
 
-def why_no_charuco(grey: NDArray[np.uint8], board: Board, corners: int) -> str:
+def diagnose_charuco(grey: NDArray[np.uint8], board: Board, corners: int) -> str:
     """Say why a ChArUco board shows too few corners."""
     import cv2
 
@@ -101,7 +101,7 @@ def _dictionary(name: str) -> Any:
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
-def why_no_chessboard(grey: NDArray[np.uint8], board: Board) -> str:
+def diagnose_chessboard(grey: NDArray[np.uint8], board: Board) -> str:
     """Say why no chessboard of the described size was found."""
     import cv2
 
@@ -130,7 +130,7 @@ def _at_border(xy_px: Floats, pitch_px: float, grey: NDArray[np.uint8]) -> bool:
     return bool((xy_px < room).any() or (xy_px > np.array(grey.shape[::-1]) - room).any())
 
 
-def why_no_circles(grey: NDArray[np.uint8], board: Board, circles_px: Floats) -> str:
+def diagnose_circles(grey: NDArray[np.uint8], board: Board, circles_px: Floats) -> str:
     """Say why no grid was found among dark circles at (circle, 2)."""
     expected, count = board.columns * board.rows, len(circles_px)
     if count < expected / 4:
@@ -297,7 +297,7 @@ def _charuco(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, str
             break  # another layout does not show that many
     count, corners, ids, layout = best
     if count < _CHARUCO_MIN:
-        raise BoardNotFoundError(lambda: why_no_charuco(grey, board, count))
+        raise BoardNotFoundError(lambda: diagnose_charuco(grey, board, count))
     places = np.asarray(pattern.getChessboardCorners(), np.float64)[np.ravel(ids)]
     places[:, 2] = 0.0
     spanned = np.ptp(places[:, :2], axis=0) / (board.pitch_mm * np.array([board.columns, board.rows]))
@@ -333,7 +333,7 @@ def _chessboard(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats]:
             grey, size, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
         )
         if not found:
-            raise BoardNotFoundError(lambda: why_no_chessboard(grey, board))
+            raise BoardNotFoundError(lambda: diagnose_chessboard(grey, board))
     corners = np.asarray(corners, np.float32).reshape(size[1], size[0], 2)
     apart = [np.linalg.norm(np.diff(corners, axis=axis), axis=2) for axis in (0, 1)]
     # over a window that holds more of the edges than the detector's own it scatters less
@@ -358,7 +358,7 @@ def _circles(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, flo
             found, centres = cv2.findCirclesGrid(grey, size, flags=flags, blobDetector=detector)
     if not found:
         circles = np.array([one.pt for one in detector.detect(grey)], np.float64).reshape(-1, 2)
-        raise BoardNotFoundError(lambda: why_no_circles(grey, board, circles))
+        raise BoardNotFoundError(lambda: diagnose_circles(grey, board, circles))
     xy = np.asarray(centres, np.float64).reshape(size[1], size[0], 2)
     board_mm, places = _grid(xy, board.pitch_mm, 0.5)
     centres, area_px = _centred(grey, places, _spacing(board_mm, places, board.pitch_mm))

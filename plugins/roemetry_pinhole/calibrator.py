@@ -220,7 +220,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
         options = self.options
         if options.gravity is not None and options.reference_pose is None:
             raise CalibrationError(
-                "gravity says how heights point and not where they begin",
+                "gravity gives the direction of heights, but not where they begin",
                 hint="name the pose of a board in reference_pose: heights begin at its middle",
             )
         pose = options.reference_pose
@@ -265,7 +265,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             return None
         if self.options.height_max_mm is None:
             raise CalibrationError(
-                "with known planes nothing tells up to which height the calibration is meant",
+                "known planes do not say up to which height the calibration is meant to be used",
                 hint="give height_max_mm among the calibrator's options",
             )
         return read_planes(self.options.planes, sign=1 if self.options.planes_form == "Ax+By+Cz+D=0" else -1)

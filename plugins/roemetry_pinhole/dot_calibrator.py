@@ -89,7 +89,7 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
         missing = int(np.isnan(found.lines[:, 0]).sum())
         if missing > _MISSING_MAX * count:
             raise CalibrationError(
-                f"{missing} of {count} dots are seen on too few surfaces to tell their rays",
+                f"{missing} of {count} dots are seen on too few surfaces to determine their rays",
                 hint="hold the board under all of the pattern, in ten poses and more",
             )
         if found.factor > _FACTOR_MAX:

@@ -380,7 +380,7 @@ def _check_belt(found: Adjusted) -> None:
     worst = float(np.sqrt(np.linalg.eigvalsh(found.covariance[np.ix_(at, at)]).max() / (belt @ belt)))
     if worst > _HEIGHT_RELATIVE_MAX:
         raise CalibrationError(
-            f"what was seen does not tell where the belt is: its place is uncertain by {worst:.0%} of its "
+            f"the images do not determine where the belt is: its position is uncertain by {worst:.0%} of its "
             "distance from the camera",
             hint="lay the board on the belt (images.board_on_belt), or take a solid whose edges or slopes "
             "are seen on several stripes",

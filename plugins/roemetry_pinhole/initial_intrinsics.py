@@ -89,9 +89,9 @@ def first_camera(
             raise CalibrationError(
                 f"the board is seen in {len(views)} of {tried} poses; {least} are the least"
                 + reasons(seen.left_out),
-                hint=f"begin with what is said of {'the image' if alike == 1 else f'{alike} images'}"
+                hint=f"begin with the reason given for {'the image' if alike == 1 else f'{alike} images'}"
                 if alike > tried / 2
-                else "take ten to twenty poses: all over the image, at all heights, tilted all ways round",
+                else "take ten to twenty poses: all over the image, at all heights, tilted in all directions",
             )
         if not views and known is not None:
             return FirstCamera(known, [], np.empty((0, 3, 3)), np.empty((0, 3)))

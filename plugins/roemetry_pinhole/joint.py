@@ -62,8 +62,8 @@ def with_known_planes(observed: CalibrationSet, camera: Floats | None, planes: F
     if len(planes) < 2 or not observed.showing("belt"):
         raise CalibrationError(
             "nothing shows where the belt is",
-            hint="with known planes, name images of the empty belt in images.belt; with a single stripe they "
-            "do not tell its tilt: calibrate with boards",
+            hint="with known planes, name images of the empty belt in images.belt; a single stripe does not "
+            "determine its tilt: calibrate with boards",
         )
     points, belt = belt_points(observed.showing("belt"), camera, planes)
     start = Geometry(camera, np.empty((0, 3, 3)), np.empty((0, 3)), planes, belt)
@@ -347,7 +347,7 @@ def _measured(
     if boards.any():
         if bent:
             raise CalibrationError(
-                "the shape of the print is looked for, and there are several boards",
+                "the shape of the print cannot be fitted with several boards",
                 hint="leave `flatness: free` out, or name one board",
             )
         looked_for[np.unique(boards[on[on >= 0]]), 0] = True
@@ -385,7 +385,7 @@ def _belt(first: FirstCamera, gathered: Gathered) -> Floats:
         )
     if np.unique(gathered.points.stripe[gathered.points.pose < 0]).size < 2:
         raise CalibrationError(
-            "one stripe on the empty belt does not tell how the belt is tilted",
+            "one stripe on the empty belt does not determine how the belt is tilted",
             hint="lay the board on the belt and name the image in images.board_on_belt",
         )
     return gathered.belt

@@ -75,7 +75,7 @@ def scaled_by_references(
     """
     if joined.board is None or joined.solids is not None:
         raise CalibrationError(
-            "the scale is to be looked for, but it comes from the solids' own lengths",
+            "`scale: free` asks for the scale, but it comes from the solids' own lengths",
             hint="leave `scale: free` out, or show the board under the laser",
         )
     described_mm = joined.board.pitch_mm
@@ -84,7 +84,7 @@ def scaled_by_references(
         found, missed = references(calibration, observed, joined=joined)
         if not found:
             raise CalibrationError(
-                "the scale is to be looked for, and nothing beside the board tells it"
+                "`scale: free` needs a reference besides the board, and there is none"
                 + "".join(f"\n  {note}" for note in missed),
                 hint="add images of a block or a staircase, or encoder_counts with encoder_mm_per_count; if "
                 "you measured the board with a ruler, correct pitch_mm and tolerance_mm and leave "

@@ -84,7 +84,7 @@ def _joined(first: Calibration, second: Calibration) -> Calibration:
     off = float(np.sqrt(max(apart @ surely @ apart, 0.0) / max(np.linalg.matrix_rank(surely), 1)))
     if off > APART_MAX:
         raise CalibrationError(
-            f"the lines of both colours tell of cameras {off:.1f} standard deviations apart",
+            f"the lines of the two colours give cameras that are {off:.1f} standard deviations apart",
             hint="did neither projector nor camera move between the images?",
         )
     weights = 0.5 * inverse_of_known(one.covariance), 0.5 * inverse_of_known(other.covariance)

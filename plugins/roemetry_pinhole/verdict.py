@@ -100,8 +100,8 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
     _check_planes(adjusted, joined)
     if adjusted.conflict > _CONFLICT_MAX:
         raise CalibrationError(
-            f"stripes and board corners contradict each other: for both to hold, stripes would have to err "
-            f"{np.sqrt(adjusted.conflict):.0f} times as much as they scatter",
+            "stripes and board corners contradict each other: for both to be right, the errors of stripes "
+            f"would have to be {np.sqrt(adjusted.conflict):.0f} times their scatter",
             hint="is each laser image paired with the board it was taken of, by one camera? did nothing move "
             "between the two images of a pose? is the board flat? are its `pitch_mm` and `thickness_mm` "
             "right?",

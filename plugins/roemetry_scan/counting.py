@@ -130,19 +130,24 @@ def _said(
         found.append(
             Reason(
                 "lines-lost",
-                f"{lost} lines are missing among {lines} (up to {longest:.0f} in a row): these places were "
-                "not seen, and are bridged as such",
+                f"{lost} lines are missing among {lines} (up to {longest:.0f} in a row): these places are "
+                "bridged, and count as not seen",
             )
         )
     if known < lines:
         found.append(Reason("count-missing", f"{lines - known} lines have no encoder count and are left out"))
     if repeated:
         found.append(
-            Reason("lines-repeated", f"the belt stood for {repeated} lines: the first of each place counts")
+            Reason(
+                "lines-repeated",
+                f"the belt stood still for {repeated} lines: only the first at each place is used",
+            )
         )
     if turned:
         found.append(
-            Reason("belt-reversed", f"the belt ran backwards: {turned} lines show what was seen already")
+            Reason(
+                "belt-reversed", f"the belt ran backwards: {turned} lines show places that were seen before"
+            )
         )
     if wraps:
         found.append(Reason("counter-wrapped", f"the encoder's counter overflowed {wraps} times: undone"))
@@ -150,8 +155,8 @@ def _said(
         found.append(
             Reason(
                 "counts-disagree",
-                f"frame numbers say that {dropped} frames were lost, the counts show {lost} gaps: are the "
-                "counts those of an encoder?",
+                f"frame numbers say that {dropped} frames were lost, but the counts have {lost} gaps: do "
+                "they come from an encoder?",
             )
         )
     return tuple(found)

@@ -129,8 +129,8 @@ def measured_motion(
     lean_std = math.degrees(math.sqrt(max(0.0, float(np.linalg.eigvalsh(across)[-1]))) / size)
     if pitch_std > _PITCH_STD_MAX or lean_std > _LEAN_STD_MAX_DEG:
         raise CalibrationError(
-            f"one pass of the {target.name} tells the belt's way to {pitch_std:.2%} and its direction to "
-            f"{lean_std:.2f}° only; {_PITCH_STD_MAX:.1%} and {_LEAN_STD_MAX_DEG:g}° are asked for",
+            f"one pass of the {target.name} determines the belt's motion only to {pitch_std:.2%} and its "
+            f"direction to {lean_std:.2f}°; {_PITCH_STD_MAX:.1%} and {_LEAN_STD_MAX_DEG:g}° are required",
             hint="take a larger target, or lines that lie closer together",
         )
     return motion, {

@@ -340,8 +340,8 @@ def _refuse_torn(whole: Flags) -> None:
     many = np.count_nonzero(~whole)
     if many > max(1.0, _TORN_MAX * len(whole)):
         raise StageError(
-            f"{many} of {len(whole)} lines lie in part beside those before and after: rows were lost there, "
-            "or that part is another frame's",
+            f"{many} of {len(whole)} lines do not continue those before and after in a part of the image: "
+            "rows were lost there, or that part belongs to another frame",
             hint="look at the frames, at cable and frame grabber",
         )
 
@@ -365,7 +365,7 @@ def _longer(longer: float) -> tuple[Reason, ...]:
         Reason(
             "line-length",
             f"the line of light on the belt is {abs(longer):.2%} {way} in the image than at calibration: the "
-            "camera may have moved towards it or away; volumes are uncertain by twice as much for that",
+            "camera may have moved towards it or away, which makes volumes uncertain by twice as much",
         ),
     )
 
@@ -377,8 +377,8 @@ def _off(figures: ScanFigures, off_mm: float) -> tuple[Reason, ...]:
     return (
         Reason(
             "belt-off-zero",
-            f"the belt lies {abs(off_mm):.1f} mm {way} where the calibration has it: it runs otherwise, or "
-            f"camera or laser have moved; volumes are uncertain by {figures.belt_off_rel_std:.1%} for that",
+            f"the belt lies {abs(off_mm):.1f} mm {way} its calibrated position: belt, camera or laser have "
+            f"moved, which makes volumes uncertain by {figures.belt_off_rel_std:.1%}",
         ),
     )
 
@@ -389,8 +389,9 @@ def _torn(whole: Flags) -> tuple[Reason, ...]:
     return (
         Reason(
             "lines-torn",
-            f"{np.count_nonzero(~whole)} of {len(whole)} lines lie in part beside those before and after: "
-            "rows were lost there, or that part is another frame's; they are not used",
+            f"{np.count_nonzero(~whole)} of {len(whole)} lines do not continue those before and after in a "
+            "part of the image: rows were lost there, or that part belongs to another frame; they are not "
+            "used",
         ),
     )
 

@@ -212,7 +212,7 @@ def joined(heads: Sequence[Profiles], registrations: Sequence[Registration]) -> 
         shared = np.isfinite(heights[k - 1]) & np.isfinite(heights[k])
         if np.count_nonzero(shared) < _SHARED_MIN:
             raise StageError(
-                f"heads {k} and {k + 1} see no strip of the belt in common: nothing tells whether they agree",
+                f"heads {k} and {k + 1} see no strip of the belt in common: whether they agree is not known",
                 hint="mount them so that their fields of view overlap",
             )
         off = heights[k][shared] - heights[k - 1][shared]

@@ -67,7 +67,7 @@ def slip_of(xyz_mm: Floats, others: Mapping[float, Floats]) -> tuple[float, tupl
         Reason(
             "slip",
             f"two stripes disagree: the product slips by {abs(worst[0]):.1%} ± {worst[1]:.1%} of its way "
-            "against the counter; the volume's uncertainty holds it",
+            "against the counter; the volume's uncertainty includes it",
         ),
     )
 

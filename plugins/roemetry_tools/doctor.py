@@ -31,7 +31,7 @@ from roemetry.stages.registry import Registry, discover
 Row = tuple[float, float, float, str]
 """Visible volume (mm³), weight (g), largest height (mm), grade; NaN and "" where there is none."""
 
-KNOWN_NUMBERS = "known_numbers.csv"
+REFERENCE_VALUES = "reference_values.csv"
 COLUMNS = ("id", "visible volume (mm³)", "weight (g)", "largest height (mm)", "grade")
 
 _RELATIVE_MAX = 1e-4
@@ -128,7 +128,7 @@ def examine_file(path: Path) -> Iterator[Finding]:
 
 
 def rows_of(recipe: Recipe) -> dict[str, Row]:
-    """Measure a recipe, and give by id what known numbers hold."""
+    """Measure a recipe, and give by id what reference values hold."""
     return {row.id: _numbers(row) for row in recipe.run()}
 
 
@@ -222,7 +222,7 @@ def _measured() -> Iterator[Finding]:
     found: dict[str, Row] = {}
     try:
         folder = shipped("recipes", "herring_roe")
-        known = known_numbers(folder)
+        known = reference_values(folder)
         names = sorted({name.partition("#")[0] for name in known})
         for name in (names[0], *names):  # the first one twice: kernels are loaded with it
             recipe = Recipe.load(folder, sets=[f"source.path={folder / 'images' / f'{name}.png'}"])
@@ -258,9 +258,9 @@ def _compared(found: Mapping[str, Row], known: Mapping[str, Row]) -> Finding:
     return Finding("shipped recipe", "wrong", said, remedy)
 
 
-def known_numbers(folder: Path) -> dict[str, Row]:
-    """Read a recipe's known numbers; as `rows_of`."""
-    with (folder / KNOWN_NUMBERS).open(encoding="utf-8", newline="") as file:
+def reference_values(folder: Path) -> dict[str, Row]:
+    """Read a recipe's reference values; as `rows_of`."""
+    with (folder / REFERENCE_VALUES).open(encoding="utf-8", newline="") as file:
         return {
             row["id"]: (*(float(row[name] or "nan") for name in COLUMNS[1:4]), row["grade"])  # type: ignore[misc]
             for row in csv.DictReader(file)

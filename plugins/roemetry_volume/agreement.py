@@ -370,6 +370,6 @@ def contradiction(against_px: float, left_px: float) -> Reason:
     return Reason(
         "images-contradict",
         f"the product's outline in the plain-light image and the ends of its stripes are {against_px:.1f} px "
-        f"apart, {left_px:.1f} px however one image is shifted: rows of the laser image are lost, or the "
-        "plain-light image is another product's or of another scale; look at both, and take them again",
+        f"apart, and {left_px:.1f} px at the best shift of one image: rows of the laser image are lost, or "
+        "the plain-light image is of another product or scale; look at both, and take them again",
     )

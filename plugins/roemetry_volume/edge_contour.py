@@ -231,9 +231,9 @@ def _shown_larger(
         if beyond > _BEYOND_SHARE:
             found[number] = Reason(
                 "images-contradict",
-                f"beyond what stripes show of the product the plain-light image shows {beyond:.0%} more of "
-                "it: a part of the laser image is another frame's, stripes are missing, or the plain-light "
-                "image is of another product; look at both, and take them again",
+                f"the plain-light image shows {beyond:.0%} more of the product than the stripes do: a part "
+                "of the laser image belongs to another frame, stripes are missing, or the plain-light image "
+                "is of another product; look at both, and take them again",
             )
     return found
 

@@ -112,8 +112,8 @@ def laid_over(
         fault = Reason(
             "images-contradict",
             f"between the rows {top} and {bottom} and the columns {left} and {right} the laser image does "
-            "not show the belt that the plain-light image shows: rows or columns are lost, or a part is "
-            "another frame's; look at both, and take them again",
+            "not show the belt that the plain-light image shows: rows or columns are lost, or a part "
+            "belongs to another frame; look at both, and take them again",
         )
         return Overlay(plain, math.inf, fault=fault)
     half_px = 0.5 * max(plain.size)

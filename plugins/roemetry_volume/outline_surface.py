@@ -140,8 +140,8 @@ def _reasons(fused: Fused) -> tuple[Reason, ...]:
     return (
         Reason(
             "flat-end",
-            "the slices do not fall towards an end of the outline: the surface goes on there as it comes, "
-            "up to an upright end",
+            "the slices do not fall towards an end of the outline: the surface is continued there up to an "
+            "upright end",
         ),
     )
 
@@ -419,5 +419,5 @@ def _disagreement(fused: Fused) -> Reason | None:
     )
     return Reason(
         "outline-disagrees",
-        f"the outline is not that of what the stripes show: {what}; the volume is that of the slices alone",
+        f"the outline does not fit the stripes: {what}; the volume is that of the slices alone",
     )

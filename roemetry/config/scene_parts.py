@@ -106,7 +106,7 @@ class CameraPart(Part):
 
 
 class LaserPart(Part):
-    """The projector: a fan of planes of light from one point."""
+    """The projector: a fan of laser planes from one point."""
 
     projector_mm: Point = Field(default=(160.0, -4.0, 300.0), description="where the light comes from, mm")
     planes: int = Field(default=11, ge=1, le=200, description="number of planes")

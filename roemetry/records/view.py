@@ -27,7 +27,7 @@ def distort(xy: Floats, distortion: Floats) -> Floats:
     """
     if not distortion.any():
         return np.asarray(xy, np.float64)
-    return np.column_stack(_bent(xy[:, 0], xy[:, 1], distortion)[0])
+    return np.column_stack(_distorted(xy[:, 0], xy[:, 1], distortion)[0])
 
 
 def undistort(xy: Floats, distortion: Floats) -> Floats:
@@ -35,14 +35,14 @@ def undistort(xy: Floats, distortion: Floats) -> Floats:
 
     Places beyond the fold of a strong distortion have no inverse and come back NaN.
     """
-    bent = np.asarray(xy, np.float64)
+    distorted = np.asarray(xy, np.float64)
     if not distortion.any():
-        return bent
-    bent_x, bent_y = bent.T
-    x, y = np.array(bent_x), np.array(bent_y)
+        return distorted
+    distorted_x, distorted_y = distorted.T
+    x, y = np.array(distorted_x), np.array(distorted_y)
     for step in range(_NEWTON_STEPS + 1):
-        (at_x, at_y), (a, b, c, d) = _bent(x, y, distortion)
-        wrong_x, wrong_y = at_x - bent_x, at_y - bent_y
+        (at_x, at_y), (a, b, c, d) = _distorted(x, y, distortion)
+        wrong_x, wrong_y = at_x - distorted_x, at_y - distorted_y
         missed = np.maximum(np.abs(wrong_x), np.abs(wrong_y))
         determinant = a * d - b * c
         left = np.fmax.reduce(missed, initial=0.0)
@@ -56,17 +56,17 @@ def undistort(xy: Floats, distortion: Floats) -> Floats:
             break
     # Beyond the fold the image is turned over: a root there fits, but no light takes that way.
     proper = (determinant > 0) & (a + d > 0)
-    straight = np.column_stack([x, y])
-    straight[~((missed < _MISSED_MAX) & proper)] = np.nan
-    return straight
+    undistorted = np.column_stack([x, y])
+    undistorted[~((missed < _MISSED_MAX) & proper)] = np.nan
+    return undistorted
 
 
 def distortion_jacobian(xy: Floats, distortion: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Give ∂x′/∂x, ∂x′/∂y, ∂y′/∂x, ∂y′/∂y of `distort` at places (n, 2), each (n,)."""
-    return _bent(xy[:, 0], xy[:, 1], distortion)[1]
+    return _distorted(xy[:, 0], xy[:, 1], distortion)[1]
 
 
-def _bent(
+def _distorted(
     x: Floats, y: Floats, distortion: Floats
 ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats, Floats, Floats]]:
     """Give x′, y′ and ∂x′/∂x, ∂x′/∂y, ∂y′/∂x, ∂y′/∂y at places, each (n,)."""
@@ -101,9 +101,9 @@ def _tilted(
     place: tuple[Floats, Floats], slopes: tuple[Floats, Floats, Floats, Floats], turn: Floats
 ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats, Floats, Floats]]:
     """Take places and their slopes through a homography."""
-    bent = np.stack(place)
-    ahead = turn[2, :2] @ bent + turn[2, 2]
-    tilted = (turn[:2, :2] @ bent + turn[:2, 2:]) / ahead
+    distorted = np.stack(place)
+    ahead = turn[2, :2] @ distorted + turn[2, 2]
+    tilted = (turn[:2, :2] @ distorted + turn[:2, 2:]) / ahead
     (a, c), (b, d) = (
         (turn[:2, :2] @ by - tilted * (turn[2, :2] @ by)) / ahead
         for by in (np.stack(slopes[::2]), np.stack(slopes[1::2]))
@@ -235,7 +235,7 @@ class View(Shown):
             x, y = u * near, v * near
             by_x, by_y = (by_u - x * turn[:, 2:]) * near, (by_v - y * turn[:, 2:]) * near
             if self.distortion.any():
-                (x, y), (a, b, c, d) = _bent(x, y, self.distortion)
+                (x, y), (a, b, c, d) = _distorted(x, y, self.distortion)
                 by_x, by_y = a * by_x + b * by_y, c * by_x + d * by_y
         at = np.stack([x, y], axis=1) * (focal_x, focal_y) + self.camera_matrix[:2, 2]
         return at, np.stack([focal_x * by_x, focal_y * by_y])

@@ -84,8 +84,8 @@ _CURVED = 0.5
 """Second-order over first-order variance from which a result is said not to follow its causes straight."""
 _NOT_LINEAR = Reason(
     "not-linear",
-    "the result does not follow what it depends on in a straight line here (a limit or a rule switches "
-    "within the uncertainty): its uncertainty is an estimate; `uncertainty: monte-carlo` tells it",
+    "the result is not a linear function of its causes here (a limit or a rule switches within the "
+    "uncertainty): its uncertainty is only an estimate; use `uncertainty: monte-carlo`",
 )
 
 Part = tuple[str, float, Callable[[float], Mapping[int, Product]]]
@@ -506,7 +506,8 @@ def _estimate(
 
 
 _REFUSED = Reason(
-    "draws-refused", "with what is uncertain moved both ways, it could not be measured: nothing is stated"
+    "draws-refused",
+    "it could not be measured with an uncertain input changed in either direction: no uncertainty is stated",
 )
 
 

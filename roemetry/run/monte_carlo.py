@@ -51,7 +51,7 @@ _PART_ONLY = Reason(
 )
 CALIBRATION_NOT_STATED = Reason(
     "calibration-model-not-stated",
-    "one block tells nothing of the lens and little of the camera's tilt, and how far they move a volume "
+    "one block does not determine the lens, and hardly the camera's tilt, and their effect on a volume "
     "is not known: no uncertainty and no interval is given",
 )
 FAILED_SHARE_MAX = 0.05
@@ -252,10 +252,11 @@ def _few(draws: int) -> tuple[Reason, ...]:
     if draws >= FEW_DRAWS:
         return ()
     share = 1.0 / math.sqrt(2.0 * (draws - 1))
-    said = f"{draws} draws tell a standard uncertainty to {share:.0%} only: take more"
+    said = f"{draws} draws determine a standard uncertainty only to {share:.0%}: take more"
     return (
         Reason(
-            "few-draws", said if draws > _TOO_FEW_DRAWS else f"{draws} draws tell no uncertainty: take more"
+            "few-draws",
+            said if draws > _TOO_FEW_DRAWS else f"{draws} draws determine no uncertainty: take more",
         ),
     )
 

@@ -164,7 +164,7 @@ def said_of(part: OpenPart, product: Product) -> Reason | None:
         "stripe with certainty and are left out"
     )
     if part.share > SHARE_MAX:
-        return Reason("undecided", f"{where}: no number would be honest")
+        return Reason("undecided", f"{where}: too many for a number to be stated")
     wider = widened_by(part, product)
     by = f"{wider:.1%}" if wider >= 0.0005 else "less than 0.1%"
     return Reason("ambiguous", f"{where}; that widens the volume's uncertainty by {by}")

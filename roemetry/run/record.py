@@ -268,6 +268,6 @@ class MotionTrend:
         return Reason(
             "drifting",
             f"from {self._since[int(part)][int(side)]} on the image {_WORDS[int(part)]}: at its edge by "
-            f"{mean_px[side, part]:+.2f} px in the mean against the run's first {_FIRST} images; each image "
+            f"{mean_px[side, part]:+.2f} px on average against the run's first {_FIRST} images; each image "
             "was corrected or refused; look for what is loose, and calibrate again",
         )

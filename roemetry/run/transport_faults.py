@@ -106,9 +106,9 @@ def check_repeats(laser: Frame, before: NDArray[Any]) -> None:
     if np.count_nonzero(by_accident) > _ALONE_SHARE * len(row):
         return
     raise DataError(
-        f"{laser.name}: from row {row.min()} to row {row.max()} a part of the image is, to the last grey "
-        "level, that of the image before, which no sensor's noise allows: one of the two holds a part of "
-        "the other",
+        f"{laser.name}: from row {row.min()} to row {row.max()} a part of the image is identical to the "
+        "image before, to the last grey level, which a sensor's noise makes impossible: one of the two "
+        "contains a part of the other",
         hint="look at cable, network and frame grabber; take the image again",
     )
 
@@ -145,8 +145,8 @@ def check_lines(laser: Frame) -> None:
             found = _repeated(pixels.swapaxes(0, 1), by_column)
         if found is not None:
             raise DataError(
-                f"{laser.name}: the {what} {found} and others have the very content of {what}s before them, "
-                f"which no sensor's noise allows: {what}s were lost, and filled up",
+                f"{laser.name}: the {what} {found} and others are identical to {what}s before them, which a "
+                f"sensor's noise makes impossible: {what}s were lost, and filled up",
                 hint="look at cable, network and frame grabber; take the image again",
             )
 
@@ -283,8 +283,8 @@ def check_joins(frame: Frame, count_steps: StepCounter = _not_counted) -> None:
             count, place = _most_joined(lines, noise, near)
         if count > enough:
             raise DataError(
-                f"{frame.name}: between the {what} {place} and {place + 1} the image breaks off, sharper "
-                "than any lens draws: lines are lost there, or a part is another frame's",
+                f"{frame.name}: between the {what} {place} and {place + 1} the image breaks off more sharply "
+                "than any lens can draw: lines are lost there, or a part belongs to another frame",
                 hint="look at cable, network and frame grabber; take the image again",
             )
 

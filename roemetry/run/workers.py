@@ -78,7 +78,7 @@ class Processes:
                         '`if __name__ == "__main__":`, or use jobs=1',
                     ) from None
                 raise InterruptedRunError(
-                    "a worker process died (killed by the system, perhaps for want of memory)",
+                    "a worker process died (killed by the system, perhaps for lack of memory)",
                     hint="what was done is whole; go on with fewer --jobs, with --resume where offered",
                 ) from error
             finally:

@@ -13,7 +13,7 @@ from roemetry.cli.main import app
 from roemetry.stages.hookspecs import Finding
 from roemetry.stages.registry import Broken, Provider, Registry, discover
 from roemetry_tools import doctor
-from roemetry_tools.doctor import KNOWN_NUMBERS, examine
+from roemetry_tools.doctor import REFERENCE_VALUES, examine
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def copied(tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name in (
         "recipe.yaml",
         "calibration.yaml",
-        KNOWN_NUMBERS,
+        REFERENCE_VALUES,
         *(f"images/skein_0{n}.png" for n in (1, 2, 3)),
     ):
         shutil.copy(home / name, folder / name)
@@ -47,7 +47,7 @@ def test_nothing_is_wrong_here() -> None:
 
 def spoil(folder: Path, column: str, to: str) -> None:
     """Write something else for the first product's known number; a `to` of ``*1.0002`` multiplies it."""
-    file = folder / KNOWN_NUMBERS
+    file = folder / REFERENCE_VALUES
     head, first, *others = file.read_text("utf-8").splitlines(keepends=True)
     place = head.strip().split(",").index(column)
     cells = first.strip().split(",")

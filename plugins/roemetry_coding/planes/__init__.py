@@ -111,7 +111,7 @@ class Planes(Coder[PlanesOptions]):
         labelled = (stripe >= 0).mean()
         if labelled < _LABELLED_SHARE_MIN:
             raise StageError(
-                f"only {labelled:.0%} of the peaks lie on a surface that can be: either they are noise, or "
+                f"only {labelled:.0%} of the peaks can lie on a surface: either they are noise, or "
                 "calibration and image do not belong together",
                 hint="look at the image; was it turned, or the camera moved?",
             )
@@ -158,7 +158,7 @@ def _approximate(calibration: Calibration) -> list[Reason]:
     return [
         Reason(
             "no-planes",
-            "the calibration has no camera and planes, so image rows stood for the lines of sight and light: "
-            "right for a distant camera, more is refused or wrong under perspective",
+            "the calibration has no camera and planes, so image rows were used as epipolar lines: this is "
+            "right for a distant camera; under perspective more peaks are refused or wrong",
         )
     ]

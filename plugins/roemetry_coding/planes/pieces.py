@@ -1,6 +1,6 @@
 """Pieces of traces: where they lie on a rest line, where they are cut, and which stripes are there at all.
 
-Model. Belt lies still on its rest line; a body that lies along another stripe's does so a little beside it.
+Model. Belt stays on its rest line; a body along another stripe's rest line lies slightly beside it.
 A single peak scatters about the line by as much as a body may lie beside it; the mean of `_ROWS` peaks along
 the trace scatters by a third of that. So a peak is on a rest line if the mean of those before it, or after
 it, is, within what such means are off in the image's outer rows, where belt is expected; there, too, it is

@@ -74,7 +74,7 @@ _END_ROWS = 8
 _BORDER_ROWS = 12
 """Belt that ends this near to the image's border is taken to leave it, rows: a peak or two may be missing."""
 _PRESENT_SHARE = 0.2
-"""A stripe whose belt is seen on this share of the rows is there beyond doubt."""
+"""A stripe whose belt is seen on this share of the rows is certainly there."""
 _PRESENT_ROWS_MIN = 15
 """A stripe seen on its rest line in fewer rows is not there: bodies cross rest lines."""
 _END_LINES = 30

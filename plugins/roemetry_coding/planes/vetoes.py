@@ -240,7 +240,7 @@ def may_be_level(
     row
         (peak,) row, sorted.
     """
-    found = _level_instead(entries, candidates, pieces.line, best, costs, weights, there)
+    found = _flat_top_ambiguity(entries, candidates, pieces.line, best, costs, weights, there)
     return np.asarray(on_end(row, pieces.of, found, _LEVEL_ROWS, _FLICKER_ROWS))
 
 
@@ -444,7 +444,7 @@ def going_on(row: Integers, along: Integers, asked: Flags, doubted: Flags, gap_r
 
 
 @kernel
-def _level_instead(
+def _flat_top_ambiguity(
     entries: Entries, candidates: Candidates, on_line: Integers, best: Integers, costs: PairCosts,
     weights: Weights, there: Floats,
 ) -> Flags:  # fmt: skip

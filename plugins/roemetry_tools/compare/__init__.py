@@ -92,8 +92,8 @@ def compare(
         bool,
         typer.Option(
             "--stop-early",
-            help="Measure a variant no further once another is nearer to the truth beyond doubt (the best "
-            "one is stopped with a probability of 1 % at most).",
+            help="Stop measuring a variant once another is certainly nearer to the truth (the best one is "
+            "stopped with a probability of 1 % at most).",
         ),
     ] = False,
     jobs: Annotated[

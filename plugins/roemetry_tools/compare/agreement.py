@@ -164,7 +164,7 @@ class Terms:
     """What differences are judged by: means that differ by less than the tolerance are as good as equal.
 
     Without a tolerance there is no verdict. Folds are those of the choice among variants. Early stopped are
-    those that are beaten beyond doubt.
+    those that are certainly worse than another.
     """
 
     tolerance_pct: float | None = None

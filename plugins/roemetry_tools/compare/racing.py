@@ -1,4 +1,4 @@
-"""Variants that are beaten beyond doubt are measured no further.
+"""Variants that are certainly worse than another are not measured further.
 
 At looks that come ever more rarely, the variant with the least mean absolute error so far is set against each
 other one: on the products that both measured, specimen by specimen, by the difference of their absolute

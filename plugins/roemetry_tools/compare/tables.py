@@ -324,7 +324,7 @@ def first_lines_of(compared: Sequence[Compared], terms: Terms, without_truth: st
     elif len(left := [one for one in compared if one.status == "compared"]) == 1 and len(left) < sum(
         one.status != "failed" for one in compared
     ):
-        said = [f"winner: `{left[0].variant.name}`: the others are beaten beyond doubt"]
+        said = [f"winner: `{left[0].variant.name}`: the others are certainly worse"]
     else:
         said = [f"no winner: {without_truth or 'no two variants differ on the same products'}"]
     names = {one.variant.number: one.variant.name for one in compared}
@@ -359,7 +359,7 @@ def _stopped(name: str, stopped: Stopped, names: Mapping[int, str]) -> str:
     return (
         f"`{name}` was stopped after {stopped.acquisitions} acquisitions: its mean absolute error of the "
         f"{WORDS[stopped.figure]} is {stopped.more_pct:.2f} percentage points more than that of "
-        f"`{names[stopped.by]}` on {stopped.specimens} products, beyond doubt"
+        f"`{names[stopped.by]}` on {stopped.specimens} products, which is significant"
     )
 
 

@@ -1,4 +1,4 @@
-"""One recipe on the bench: what the page may ask, answered without a network.
+"""A tuning session of one recipe: the answers to the page's requests, without a network.
 
 An answer holds the frame as a picture, arrays to draw over it, and places to look at: a header of JSON,
 then arrays that a browser uses without copying them. The header's length stands first, 4 bytes,

@@ -97,7 +97,7 @@ def check_options_are_frozen_and_closed(stage: Stage[Any]) -> None:
         type(options).model_validate({**options.model_dump(), "no_such_option": 1})
     except ValidationError:
         return
-    raise NotKeptError("an option that does not exist is taken in silence")
+    raise NotKeptError("an option that does not exist is accepted without an error")
 
 
 def check_every_option_is_described(stage: Stage[Any]) -> None:

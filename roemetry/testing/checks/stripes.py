@@ -24,7 +24,7 @@ _END_ROWS = 2
 _LABELLED_MIN = 0.99
 """Share of the points that must be labelled where nothing makes it hard."""
 _CLEAR_MM = 1.0
-"""From this height on a point is off the belt beyond doubt: 2 px on this rig."""
+"""A point above this height is certainly off the belt: 2 px on this rig."""
 
 
 def check_a_dome_is_labelled_whole(coder: Coder[Any]) -> None:

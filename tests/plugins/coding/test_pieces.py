@@ -178,7 +178,7 @@ def test_too_little_to_say_anything_of_is_refused_and_a_single_stripe_is_one(
     rng: np.random.Generator,
 ) -> None:
     found = RIG.peaks(RIG.x_px(RIG.dome()), 0.1)
-    with pytest.raises(StageError, match="counts stripes from the first that is seen"):
+    with pytest.raises(StageError, match="numbers stripes from the first one seen"):
         Pieces().code(found.peaks, RIG.calibration())
     one_row, few = np.full((2, STRIPES, ROWS), np.nan)
     one_row[:, 100], few[:, 40:52] = lines()[:, 100], lines()[:, 40:52]

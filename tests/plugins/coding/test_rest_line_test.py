@@ -1,4 +1,4 @@
-"""Belt lies still on its rest line; what lies along it by chance, a little beside it, does not."""
+"""Belt stays on its rest line; a body along it by chance lies slightly beside it."""
 
 from __future__ import annotations
 

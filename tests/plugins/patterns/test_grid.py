@@ -179,7 +179,7 @@ def test_a_cross_hair_shows_a_position_and_no_volume(tmp_path: Path) -> None:
     (product,) = recipe.measure(laser, plain=plain)
     assert product.volume is None
     said = str(product.absent["volume"])
-    assert "2 of the lines lie on the product" in said and "not its volume" in said
+    assert "2 of the lines lie on the product" in said and "its position is" in said
     assert truth.truth.stripes is not None
     place, on = truth.truth.stripes.xyz_mm, truth.truth.stripes.on_product
     low, high = place[on].min(axis=0), place[on].max(axis=0)

@@ -145,14 +145,14 @@ def test_a_board_described_wrongly_is_what_is_to_be_mended(tmp_path: Path) -> No
     seen = f"{CHESS.columns - 1} × {CHESS.rows - 1} inner corners are seen"
     with pytest.raises(CalibrationError, match=f"it is another board: {seen}") as caught:
         calibrate(rig)
-    assert "begin with what is said of" in (caught.value.hint or "")
+    assert "begin with the reason given for" in (caught.value.hint or "")
 
 
 def test_of_one_image_the_hint_speaks_as_of_one() -> None:
     seen = Seen(left_out={"on_1.png": "it is blurred"})
     with pytest.raises(CalibrationError) as caught:
         first_camera(seen, (300, 400), "five", None, 1)
-    assert caught.value.hint == "begin with what is said of the image"
+    assert caught.value.hint == "begin with the reason given for the image"
 
 
 def test_poses_in_which_dots_show_another_board_are_counted() -> None:

@@ -116,7 +116,7 @@ def test_the_covariance_holds_the_references_length(seen, by_block) -> None:
 
 
 def test_a_free_scale_without_reference_is_refused(seen) -> None:
-    with pytest.raises(CalibrationError, match="nothing beside the board tells it") as caught:
+    with pytest.raises(CalibrationError, match="needs a reference besides the board") as caught:
         FREE.calibrate(seen)
     assert "encoder_mm_per_count" in (caught.value.hint or "")
 

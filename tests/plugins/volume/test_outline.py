@@ -290,7 +290,7 @@ def test_a_body_that_goes_on_far_beyond_its_stripes_refuses_its_product(
     """The laser image is of a smaller product in the same place; a rim that no stripe shows is none."""
     (found,) = EdgeContour().outline(LASER, plain_image(rng), stripes_on((seen,)), None)
     if seen[2] < 50.0:
-        assert found.fault.code == "images-contradict" and "more of it" in found.fault.text
+        assert found.fault.code == "images-contradict" and "more of the product" in found.fault.text
     else:
         assert found.fault is None
 

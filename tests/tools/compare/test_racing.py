@@ -111,7 +111,7 @@ def test_the_verb_says_what_was_stopped(dataset, tmp_path, monkeypatch, roemetry
     vary = "stages.weigher.options.density_g_per_cm3=1.54"
     assert roemetry(dataset(8), "--vary", vary, "--stop-early", "--out", tmp_path / "out") == 0
     printed = capsys.readouterr().out
-    assert printed.startswith("winner: `recipe`: the others are beaten beyond doubt")
+    assert printed.startswith("winner: `recipe`: the others are certainly worse")
     assert "percentage points more than that of `recipe`" in printed
     assert ",stopped," in (tmp_path / "out" / "comparison.csv").read_text("utf-8")
 
