@@ -23,11 +23,13 @@ from typing import ClassVar
 import numpy as np
 
 from roemetry.errors import StageError
-from roemetry.records import Estimate, Product, Reason, Shares, Surface, Volume
+from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Surface, Volume
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
+from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.lens import sight_lines
+from roemetry_kernels.robust_fit import solve
 
 _POINTS_MAX = 150
 """Points that count: the time grows with their cube, and 250 bring a volume no nearer to the truth."""
@@ -247,30 +249,9 @@ def _gauss() -> tuple[Floats, Floats]:
 
 
 def _scene_of(product: Product) -> _Scene:
-    profiles = product.profiles
-    on = (profiles.product == product.number) & np.isfinite(profiles.xyz_mm).all(axis=2) & profiles.seen
-    xyz, std = profiles.xyz_mm[on], profiles.height_std_mm[on]
-    if len(xyz) < _POINTS_MIN:
-        raise StageError(f"{len(xyz)} points lie on the product, {_POINTS_MIN} are the least")
-    lines = int(on.any(axis=1).sum())
-    if lines < _SLICES_MIN and product.calibration.rays is None:
-        low, high = xyz.min(axis=0), xyz.max(axis=0)
-        raise StageError(
-            f"{lines} of the lines lie on the product, {_SLICES_MIN} are the least: they show where it lies, "
-            f"X = {low[0]:.1f} to {high[0]:.1f} mm, Y = {low[1]:.1f} to {high[1]:.1f} mm, up to "
-            f"Z = {high[2]:.1f} mm, and not its volume",
-            hint="throw more lines, or dots; a cross hair shows a position",
-        )
-    every_xy, place = xyz[:, :2], np.argwhere(on)
-    std = np.nan_to_num(std, nan=_FLAT_STD_MM)
-    sure = std <= _UNSURE * max(float(np.median(std)), _FLAT_STD_MM)
-    xyz, std = _pooled(xyz[sure], std[sure], place[sure])
-    near = _beside_neighbours(xyz)
-    xyz, std = xyz[near], std[near]
-    # the order of slices shall not matter, nor which of many points are left out
-    order = np.lexsort(xyz.T)
-    order = order[np.unique(np.linspace(0, len(xyz) - 1, min(len(xyz), _POINTS_MAX)).astype(np.int64))]
-    xyz, std = xyz[order], np.hypot(std[order], _FLAT_STD_MM)
+    # dots need not lie on several lines
+    lines_min = _SLICES_MIN if product.calibration.rays is None else 1
+    xyz, std, every_xy = _points_of(product.profiles, product.number, lines_min)
     outline, view = product.outline, product.view
     if outline is None and view is not None and len(view.cones):
         raise StageError(
@@ -294,6 +275,34 @@ def _scene_of(product: Product) -> _Scene:
     return _Scene(xyz, std, start, way, True, std_px)
 
 
+@lru_cache(maxsize=8)
+def _points_of(profiles: Profiles, number: int, lines_min: int) -> tuple[Floats, Floats, Floats]:
+    """Give a product's points that count, and their uncertainties, mm; and X and Y of all."""
+    on = (profiles.product == number) & np.isfinite(profiles.xyz_mm).all(axis=2) & profiles.seen
+    xyz, std = profiles.xyz_mm[on], profiles.height_std_mm[on]
+    if len(xyz) < _POINTS_MIN:
+        raise StageError(f"{len(xyz)} points lie on the product, {_POINTS_MIN} are the least")
+    lines = int(on.any(axis=1).sum())
+    if lines < lines_min:
+        low, high = xyz.min(axis=0), xyz.max(axis=0)
+        raise StageError(
+            f"{lines} of the lines lie on the product, {lines_min} are the least: they show where it lies, "
+            f"X = {low[0]:.1f} to {high[0]:.1f} mm, Y = {low[1]:.1f} to {high[1]:.1f} mm, up to "
+            f"Z = {high[2]:.1f} mm, and not its volume",
+            hint="throw more lines, or dots; a cross hair shows a position",
+        )
+    every_xy, place = xyz[:, :2], np.argwhere(on)
+    std = np.nan_to_num(std, nan=_FLAT_STD_MM)
+    sure = std <= _UNSURE * max(float(np.median(std)), _FLAT_STD_MM)
+    xyz, std = _pooled(xyz[sure], std[sure], place[sure])
+    near = _beside_neighbours(xyz)
+    xyz, std = xyz[near], std[near]
+    # the order of slices shall not matter, nor which of many points are left out
+    order = np.lexsort(xyz.T)
+    order = order[np.unique(np.linspace(0, len(xyz) - 1, min(len(xyz), _POINTS_MAX)).astype(np.int64))]
+    return xyz[order], np.hypot(std[order], _FLAT_STD_MM), every_xy
+
+
 def _larger(scene: _Scene, product: Product, by_px: float) -> _Scene:
     """Give the scene with a larger outline."""
     assert product.outline is not None and product.view is not None
@@ -302,90 +311,117 @@ def _larger(scene: _Scene, product: Product, by_px: float) -> _Scene:
     return replace(scene, start_mm=start, way=way)
 
 
+@kernel
 def _beside_neighbours(xyz_mm: Floats) -> Flags:
     """Say which points lie near those around them: false light lies centimetres off.
 
     First near the median of their heights, for several may lie off together; then, the worst one first, near
     a quadratic through them, which flanks and rims follow to a fraction of the points' distance.
     """
-    kept = np.ones(len(xyz_mm), np.bool_)
-    if len(xyz_mm) < 2 * _AROUND:
+    count = xyz_mm.shape[0]
+    kept, fitted = np.ones(count, np.bool_), np.zeros(count, np.bool_)
+    if count < 2 * _AROUND:
         return kept
-    off, _, apart = _off_neighbours(xyz_mm)
-    kept = off <= max(_OFF_MAX * float(np.median(off)), _STEEPEST * float(np.median(apart)))
+    which, apart, off = np.empty((count, _AROUND), np.int64), np.empty(count), np.empty(count)
+    for i in range(count):
+        apart[i] = _nearest(xyz_mm, kept, i, which[i])
+        off[i] = abs(median_of(xyz_mm[which[i], 2]) - xyz_mm[i, 2])
+    kept = off <= max(_OFF_MAX * median_of(off), _STEEPEST * median_of(apart))
     while kept.sum() >= 2 * _AROUND:
-        some = np.flatnonzero(kept)
-        _, off, apart = _off_neighbours(xyz_mm[some])
-        if off.max() <= max(_OFF_MAX * float(np.median(off)), _OFF_SHARE * float(np.median(apart))):
+        worst = -1
+        for i in range(count):
+            if not kept[i]:
+                continue
+            gone = False
+            for j in which[i]:
+                gone |= not kept[j]
+            if gone:
+                apart[i] = _nearest(xyz_mm, kept, i, which[i])
+            if gone or not fitted[i]:
+                off[i], fitted[i] = _off_quadratic(xyz_mm, i, which[i], apart[i]), True
+            if worst < 0 or off[i] > off[worst]:
+                worst = i
+        if off[worst] <= max(_OFF_MAX * median_of(off[kept]), _OFF_SHARE * median_of(apart[kept])):
             break
-        kept[some[off.argmax()]] = False
+        kept[worst] = False
     return kept
 
 
 @kernel
-def _off_neighbours(xyz_mm: Floats) -> tuple[Floats, Floats, Floats]:
-    """Give how far each point lies off the median of the nearest ones, and off a quadratic through them, mm.
-
-    And the mean distance of those, mm.
-    """
-    count = xyz_mm.shape[0]
-    off_median, off_quadratic, distance = np.empty(count), np.empty(count), np.empty(count)
-    far, which = np.empty(_AROUND), np.empty(_AROUND, np.int64)
-    powers = np.empty(6)
-    for i in range(count):
-        far[:] = np.inf
-        for j in range(count):
-            apart = (xyz_mm[i, 0] - xyz_mm[j, 0]) ** 2 + (xyz_mm[i, 1] - xyz_mm[j, 1]) ** 2
-            if j == i or apart >= far[-1]:
-                continue
-            at = _AROUND - 1
-            while at > 0 and far[at - 1] > apart:
-                far[at], which[at] = far[at - 1], which[at - 1]
-                at -= 1
-            far[at], which[at] = apart, j
-        distance[i] = max(np.sqrt(far).mean(), 1e-6)
-        # points of two lines alone leave some of the quadratic open: a little is taken off all of it
-        normal, right = _SOFT * np.eye(6), np.zeros(6)
-        for n in range(_AROUND):
-            j = int(which[n])
-            x, y = (xyz_mm[j, 0] - xyz_mm[i, 0]) / distance[i], (xyz_mm[j, 1] - xyz_mm[i, 1]) / distance[i]
-            powers[0], powers[1], powers[2] = 1.0, x, y
-            powers[3], powers[4], powers[5] = x * x, x * y, y * y
-            for a in range(6):
-                right[a] += powers[a] * (xyz_mm[j, 2] - xyz_mm[i, 2])
-                for b in range(6):
-                    normal[a, b] += powers[a] * powers[b]
-        off_quadratic[i] = abs(np.linalg.solve(normal, right)[0])
-        off_median[i] = abs(np.median(xyz_mm[which, 2]) - xyz_mm[i, 2])
-    return off_median, off_quadratic, distance
+def _nearest(xyz_mm: Floats, kept: Flags, i: int, which: Integers) -> float:
+    """Find the kept points nearest to one, the nearest first; give their mean distance, mm."""
+    far = np.full(_AROUND, np.inf)
+    for j in range(xyz_mm.shape[0]):
+        apart = (xyz_mm[i, 0] - xyz_mm[j, 0]) ** 2 + (xyz_mm[i, 1] - xyz_mm[j, 1]) ** 2
+        if apart >= far[-1] or j == i or not kept[j]:
+            continue
+        at = _AROUND - 1
+        while at > 0 and far[at - 1] > apart:
+            far[at], which[at] = far[at - 1], which[at - 1]
+            at -= 1
+        far[at], which[at] = apart, j
+    return max(np.sqrt(far).mean(), 1e-6)
 
 
+@kernel
+def _off_quadratic(xyz_mm: Floats, i: int, which: Integers, apart_mm: float) -> float:
+    """Give how far a point lies off a quadratic through those around it, mm."""
+    # points of two lines alone leave some of the quadratic open: a little is taken off all of it
+    normal, right, powers = _SOFT * np.eye(6), np.zeros(6), np.ones(6)
+    for j in which:
+        x, y = (xyz_mm[j, 0] - xyz_mm[i, 0]) / apart_mm, (xyz_mm[j, 1] - xyz_mm[i, 1]) / apart_mm
+        powers[1], powers[2], powers[3], powers[4], powers[5] = x, y, x * x, x * y, y * y
+        for a in range(6):
+            right[a] += powers[a] * (xyz_mm[j, 2] - xyz_mm[i, 2])
+            for b in range(a + 1):
+                normal[a, b] += powers[a] * powers[b]
+    solve(normal, right)
+    return abs(right[0])
+
+
+@kernel
 def _pooled(xyz_mm: Floats, std_mm: Floats, place: Integers) -> tuple[Floats, Floats]:
     """Give one point for some that follow each other on a line, where there are more than can count.
 
-    `place` (n, 2) says which slice and which of its points each is. It is the middle of a parabola through
-    them: their mean would lie under a surface that bulges, by a thousandth of a potato's height, and all of
-    them do. Dots stand too far apart to be pooled.
+    `place` (n, 2) says which slice and which of its points each is, in this order. It is the middle of a
+    parabola through them: their mean would lie under a surface that bulges, by a thousandth of a potato's
+    height, and all of them do. Dots stand too far apart to be pooled.
     """
-    rows = min(math.ceil(len(xyz_mm) / _POINTS_MAX), _POOLED_ROWS_MAX)
+    rows = min(math.ceil(xyz_mm.shape[0] / _POINTS_MAX), _POOLED_ROWS_MAX)
     if rows == 1:
         return xyz_mm, std_mm
-    slice_, part = place[:, 0], place[:, 1] // rows
-    group = np.unique(slice_ * (int(part.max()) + 1) + part, return_inverse=True)[1]
-    weight = 1.0 / np.maximum(std_mm, _LEAST_STD_MM) ** 2
-    total = np.bincount(group, weight)
-    along = place[:, 1] - (np.bincount(group, weight * place[:, 1]) / total)[group]
-    second, third, fourth = (np.bincount(group, weight * along**n) / total for n in (2, 3, 4))
-    # of a parabola at the middle: its mean less what its bend adds, where there are points enough to tell
-    bend = fourth - second**2 - np.divide(third**2, second, out=np.zeros_like(third), where=second > 0.0)
-    told = (np.bincount(group) >= _BEND_POINTS_MIN) & (bend > 0.0)
-    found = []
-    for one in xyz_mm.T:
-        mean, first, square = (np.bincount(group, weight * one * along**n) / total for n in (0, 1, 2))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            bent = (square - mean * second - first * third / second) / bend
-        found.append(mean - np.where(told, bent * second, 0.0))
-    return np.column_stack(found), np.where(told, _BEND_STD, 1.0) / np.sqrt(total)
+    found, std, count, end = np.empty_like(xyz_mm), np.empty_like(std_mm), 0, 0
+    while end < std.size:
+        first, (slice_, part) = end, (place[end, 0], place[end, 1] // rows)
+        while end < std.size and place[end, 0] == slice_ and place[end, 1] // rows == part:
+            end += 1
+        total, middle = 0.0, 0.0
+        for k in range(first, end):
+            weight = 1.0 / max(std_mm[k], _LEAST_STD_MM) ** 2
+            total += weight
+            middle += weight * place[k, 1]
+        middle /= total
+        second, third, fourth = 0.0, 0.0, 0.0
+        mean, slope, square = np.zeros(3), np.zeros(3), np.zeros(3)
+        for k in range(first, end):
+            share, off = 1.0 / max(std_mm[k], _LEAST_STD_MM) ** 2 / total, place[k, 1] - middle
+            second += share * off**2
+            third += share * off**3
+            fourth += share * off**4
+            for n in range(3):
+                mean[n] += share * xyz_mm[k, n]
+                slope[n] += share * off * xyz_mm[k, n]
+                square[n] += share * off**2 * xyz_mm[k, n]
+        # of a parabola at the middle: its mean less what its bend adds, where there are points enough to tell
+        bend = fourth - second**2 - (third**2 / second if second > 0.0 else 0.0)
+        told = end - first >= _BEND_POINTS_MIN and bend > 0.0
+        for n in range(3):
+            found[count, n] = mean[n]
+            if told:
+                found[count, n] -= (square[n] - mean[n] * second - slope[n] * third / second) / bend * second
+        std[count] = (_BEND_STD if told else 1.0) / math.sqrt(total)
+        count += 1
+    return found[:count].copy(), std[:count].copy()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -398,7 +434,7 @@ class _Kriged:
     log_likelihood: float
     place: Floats
     factor: Floats
-    """Lower Cholesky factor of the covariance of what is observed."""
+    """Cholesky factor of the covariance of what is observed, in the lower triangle; above it is anything."""
     trend: Floats
     """(6,) mean of the quadratic's coefficients, by least squares: what is left is far smaller, and so is its
     rounding."""
@@ -463,7 +499,7 @@ _FIRST = _REACHES[1], _SIZES[1]
 
 def _krige(scene: _Scene, rim_mm: float, reach: float = _FIRST[0], size: float = _FIRST[1]) -> _Kriged:
     """Condition the field on points and border."""
-    from scipy.linalg import solve_triangular
+    from scipy.linalg.lapack import dpotrf, dpotrs
 
     over = scene.xyz_mm[:, 2] - rim_mm
     place, value = scene.xyz_mm[:, :2], over * np.abs(over)
@@ -486,12 +522,13 @@ def _krige(scene: _Scene, rim_mm: float, reach: float = _FIRST[0], size: float =
     own = np.einsum("ii->i", covariance)
     own += noise**2 + (1e-3 * std) ** 2
     own *= 1.0 + 1e-10
-    factor: Floats = np.asarray(np.linalg.cholesky(covariance), np.float64)
-    half_way = solve_triangular(factor, left, lower=True, check_finite=False)
-    solved = solve_triangular(factor, half_way, lower=True, trans=1, check_finite=False)
+    factor, failed = dpotrf(covariance.T, lower=1, clean=0, overwrite_a=1)
+    if failed:
+        raise np.linalg.LinAlgError("the covariance of what is observed is not positive definite")
+    solved = np.asarray(dpotrs(factor, left, lower=1)[0], np.float64)
     # of Z, not of u, the likelihood is compared over rims
     slope = np.log(2.0 * np.hypot(over, 2.0 * scene.std_mm)).sum()
-    likelihood = -0.5 * float(half_way @ half_way) - float(np.log(np.diag(factor)).sum()) + float(slope)
+    likelihood = -0.5 * float(left @ solved) - float(np.log(np.diag(factor)).sum()) + float(slope)
     return _Kriged(rim_mm, reach, size, likelihood, place, factor, trend, solved, prior)
 
 
@@ -624,8 +661,8 @@ def _near(scene: _Scene, nodes: Floats) -> np.ndarray:
 
 
 def _area(contour: Floats) -> float:
-    x, y = contour.T
-    return 0.5 * float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
+    (x, y), ahead = contour.T, np.concatenate([contour[1:], contour[:1]])
+    return 0.5 * float(x @ ahead[:, 1] - y @ ahead[:, 0])
 
 
 def _outwards(contour: Floats) -> Floats:
