@@ -136,7 +136,8 @@ def _ridges(pixels: NDArray[Any]) -> NDArray[np.float32]:
     # a median takes single bright pixels away, and leaves lines
     level = cv2.medianBlur(np.ascontiguousarray(pixels).astype(np.float32), 3)
     level = cv2.GaussianBlur(level, (0, 0), _SMOOTH_PX)
-    return np.asarray(ridges_of(cv2.copyMakeBorder(level, *[_WIDE_PX] * 4, cv2.BORDER_REPLICATE)))
+    wide = cv2.copyMakeBorder(level, _WIDE_PX, _WIDE_PX, _WIDE_PX, _WIDE_PX, cv2.BORDER_REPLICATE)
+    return np.asarray(ridges_of(wide))
 
 
 @kernel
