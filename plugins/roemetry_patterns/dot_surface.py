@@ -213,7 +213,6 @@ class _Scene:
         turned = not per_line and bool(np.ptp(contour[:, 0]) > np.ptp(contour[:, 1]))
         if turned:
             contour = contour[:, ::-1]
-        ahead = np.roll(contour, -1, axis=0)
         low, high = float(contour[:, 1].min()), float(contour[:, 1].max())
         step = (high - low) / _NODES[0]
         angle, share = _gauss()
@@ -221,11 +220,7 @@ class _Scene:
             angle = np.linspace(-0.5, 0.5, _NODES[1]) * np.pi
         place = 0.5 + (0.499 if per_line else 0.5) * np.sin(angle)
         y = low + step * (np.arange(_NODES[0]) + 0.5)
-        line, at = np.nonzero((contour[:, 1] <= y[:, None]) != (ahead[:, 1] <= y[:, None]))
-        one, other = contour[at], ahead[at]
-        x = one[:, 0] + (y[line] - one[:, 1]) / (other[:, 1] - one[:, 1]) * (other[:, 0] - one[:, 0])
-        order = np.lexsort((x, line))  # every line leaves the border as often as it enters it
-        line, x = line[order], x[order]
+        line, x = _crossings(contour, y)  # every line leaves the border as often as it enters it
         if per_line:
             first = np.flatnonzero(np.diff(line, prepend=-1))
             last = np.append(first[1:], line.size) - 1
@@ -237,8 +232,31 @@ class _Scene:
             [left[:, None] + wide * place, np.broadcast_to(y[line, None], (line.size, place.size)),
              step * wide * share], axis=2,
         ).reshape(-1, 3)  # fmt: skip
-        nodes[:, 2] *= abs(_area(contour)) / nodes[:, 2].sum()  # ends of the lines are between nodes
+        # ends of the lines are between nodes
+        nodes[:, 2] *= abs(_area(contour)) / nodes[:, 2].sum()
         return nodes[:, [1, 0, 2]] if turned else nodes
+
+
+@kernel
+def _crossings(contour: Floats, y: Floats) -> tuple[Integers, Floats]:
+    """Give where lines of constant `y` cross a closed contour: (n,) which line, in order, and x, rising."""
+    line, x, many = np.empty(16, np.int64), np.empty(16), 0
+    for k in range(y.size):
+        first = many
+        for i in range(contour.shape[0]):
+            one, other = contour[i], contour[i + 1 if i + 1 < contour.shape[0] else 0]
+            if (one[1] <= y[k]) == (other[1] <= y[k]):
+                continue
+            if many == line.size:
+                line, x = np.append(line, np.empty_like(line)), np.append(x, np.empty_like(x))
+            at = one[0] + (y[k] - one[1]) / (other[1] - one[1]) * (other[0] - one[0])
+            n = many
+            while n > first and x[n - 1] > at:
+                x[n] = x[n - 1]
+                n -= 1
+            line[many], x[n] = k, at
+            many += 1
+    return line[:many].copy(), x[:many].copy()
 
 
 @lru_cache(maxsize=1)
@@ -439,11 +457,13 @@ class _Kriged:
     """(6,) mean of the quadratic's coefficients, by least squares: what is left is far smaller, and so is its
     rounding."""
     solved: Floats
-    prior: _Prior
+    prior: Floats
+    """(6,) the middle's x and y, half of the footprint's size, standard deviations of the quadratic's
+    coefficients and of the process, and its reach, mm."""
 
     def field(self, xy: Floats) -> Floats:
         """Expected u at places (n, 2)."""
-        return _expected(xy, self.place, self.solved, self.trend, self.prior.numbers())
+        return _expected(xy, self.place, self.solved, self.trend, self.prior)
 
     def heights_mm(self, xy: Floats) -> Floats:
         """Expected heights at places."""
@@ -458,39 +478,15 @@ class _Kriged:
         from scipy.linalg import solve_triangular
 
         some = nodes[::2]
-        across = self.prior.covariance(some[:, :2], self.place)
+        across = _covariance(some[:, :2], self.place, self.prior)
         known = solve_triangular(self.factor, across.T, lower=True)
-        left = self.prior.covariance(some[:, :2], some[:, :2]) - known.T @ known
+        left = _covariance(some[:, :2], some[:, :2], self.prior) - known.T @ known
         left[np.diag_indices_from(left)] += _ROUNDING * float(np.trace(left)) / len(left)
         drawn = np.linalg.cholesky(left)
         noise = np.random.default_rng(0).standard_normal((drawn.shape[1], _DRAWS))
         fields = self.field(some[:, :2])[:, None] + drawn @ noise
         weight = some[:, 2] * nodes[:, 2].sum() / some[:, 2].sum()
         return float((weight @ _height(fields, self.rim_mm)).std(ddof=1))
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Prior:
-    """Covariance of u: a quadratic of unknown coefficients and a Matérn process."""
-
-    middle: Floats
-    half_mm: float
-    trend_std: float
-    std: float
-    reach_mm: float
-
-    def numbers(self) -> Floats:
-        """Give the middle's x and y, then the other fields in their order."""
-        return np.array([*self.middle, self.half_mm, self.trend_std, self.std, self.reach_mm])
-
-    def covariance(self, one: Floats, other: Floats) -> Floats:
-        """Give (n, m) between places."""
-        return _covariance(one, other, self.numbers())
-
-    def powers(self, xy: Floats) -> Floats:
-        """Give (n, 6) what the quadratic's coefficients are multiplied by."""
-        x, y = ((xy - self.middle) / self.half_mm).T
-        return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
 
 _FIRST = _REACHES[1], _SIZES[1]
@@ -501,35 +497,78 @@ def _krige(scene: _Scene, rim_mm: float, reach: float = _FIRST[0], size: float =
     """Condition the field on points and border."""
     from scipy.linalg.lapack import dpotrf, dpotrs
 
-    over = scene.xyz_mm[:, 2] - rim_mm
-    place, value = scene.xyz_mm[:, :2], over * np.abs(over)
-    noise = 2.0 * np.hypot(over, 2.0 * scene.std_mm) * scene.std_mm
     contour = scene.contour(rim_mm)
-    if scene.outlined:
-        border = contour[np.linspace(0, len(contour) - 1, _RIM_POINTS).astype(np.int64)]
-        place = np.concatenate([place, border])
-        value = np.concatenate([value, np.zeros(len(border))])
-        noise = np.concatenate([noise, np.full(len(border), float(np.median(noise)))])
-    middle, half = contour.mean(axis=0), 0.5 * float(np.ptp(contour, axis=0).max())
-    spread = float(np.sqrt((value**2).mean()))
-    flat = _Prior(middle, half, 0.0, 0.0, half)
-    design = flat.powers(place)
-    trend: Floats = np.asarray(np.linalg.solve(design.T @ design, design.T @ value), np.float64)
-    left = value - design @ trend
-    std = max(size * float(np.sqrt((left**2).mean())), 1e-3 * spread, 1e-6)
-    prior = replace(flat, trend_std=_TREND * std, std=std, reach_mm=reach * math.sqrt(abs(_area(contour))))
-    covariance = prior.covariance(place, place)
-    own = np.einsum("ii->i", covariance)
-    own += noise**2 + (1e-3 * std) ** 2
-    own *= 1.0 + 1e-10
+    border = contour[_every(len(contour)) if scene.outlined else slice(0)]
+    place, left, trend, prior, covariance, slope = _equations(
+        scene.xyz_mm, scene.std_mm, contour, border, rim_mm, reach, size
+    )
     factor, failed = dpotrf(covariance.T, lower=1, clean=0, overwrite_a=1)
     if failed:
         raise np.linalg.LinAlgError("the covariance of what is observed is not positive definite")
     solved = np.asarray(dpotrs(factor, left, lower=1)[0], np.float64)
     # of Z, not of u, the likelihood is compared over rims
-    slope = np.log(2.0 * np.hypot(over, 2.0 * scene.std_mm)).sum()
-    likelihood = -0.5 * float(left @ solved) - float(np.log(np.diag(factor)).sum()) + float(slope)
+    likelihood = -0.5 * float(left @ solved) - float(np.log(np.diag(factor)).sum()) + slope
     return _Kriged(rim_mm, reach, size, likelihood, place, factor, trend, solved, prior)
+
+
+@lru_cache(maxsize=4)
+def _every(count: int) -> Integers:
+    """Give which of so many points of a contour stand for all of it."""
+    return np.linspace(0, count - 1, _RIM_POINTS).astype(np.int64)
+
+
+@float_kernel
+def _equations(
+    xyz_mm: Floats, std_mm: Floats, contour: Floats, border: Floats, rim_mm: float, reach: float, size: float
+) -> tuple[Floats, Floats, Floats, Floats, Floats, float]:
+    """Set up what is to be solved for a rim, and a process of that reach and size.
+
+    Returns
+    -------
+    tuple
+        (n, 2) places of points and border; (n,) what the quadratic leaves of u there; its (6,) coefficients;
+        the prior as in `_Kriged`; (n, n) the covariance of what is observed, written from the diagonal to the
+        right alone; and the sum of log |du/dZ|.
+    """
+    points, count = xyz_mm.shape[0], xyz_mm.shape[0] + border.shape[0]
+    place, value, noise, slope = np.empty((count, 2)), np.zeros(count), np.empty(count), 0.0
+    for k in range(points):
+        place[k, 0], place[k, 1] = xyz_mm[k, 0], xyz_mm[k, 1]
+        over = xyz_mm[k, 2] - rim_mm
+        steep = 2.0 * math.hypot(over, 2.0 * std_mm[k])
+        value[k], noise[k] = over * abs(over), steep * std_mm[k]
+        slope += math.log(steep)
+    place[points:] = border
+    noise[points:] = median_of(noise[:points])
+    prior, trend, normal = np.empty(6), np.zeros(6), np.zeros((6, 6))
+    low, high = contour[0].copy(), contour[0].copy()
+    middle, twice_area = np.zeros(2), 0.0
+    for k in range(contour.shape[0]):
+        ahead = contour[k + 1 if k + 1 < contour.shape[0] else 0]
+        twice_area += contour[k, 0] * ahead[1] - contour[k, 1] * ahead[0]
+        for n in range(2):
+            middle[n] += contour[k, n] / contour.shape[0]
+            low[n], high[n] = min(low[n], contour[k, n]), max(high[n], contour[k, n])
+    half_mm = 0.5 * max(high[0] - low[0], high[1] - low[1])
+    powers = np.ones((count, 6))
+    for k in range(count):
+        x, y = (place[k, 0] - middle[0]) / half_mm, (place[k, 1] - middle[1]) / half_mm
+        line = powers[k]
+        line[1], line[2], line[3], line[4], line[5] = x, y, x * x, x * y, y * y
+        for a in range(6):
+            trend[a] += line[a] * value[k]
+            for b in range(a + 1):
+                normal[a, b] += line[a] * line[b]
+    solve(normal, trend)
+    left = value - powers @ trend
+    std = max(size * math.sqrt((left**2).mean()), 1e-3 * math.sqrt((value**2).mean()), 1e-6)
+    prior[0], prior[1], prior[2] = middle[0], middle[1], half_mm
+    prior[3], prior[4], prior[5] = _TREND * std, std, reach * math.sqrt(0.5 * abs(twice_area))
+    covariance = np.empty((count, count))
+    _fill(place, place, prior, covariance, True)
+    for k in range(count):
+        covariance[k, k] = (covariance[k, k] + noise[k] ** 2 + (1e-3 * std) ** 2) * (1.0 + 1e-10)
+    return place, left, trend, prior, covariance, slope
 
 
 @inlined
@@ -552,8 +591,15 @@ def _matern(apart: float) -> float:
 
 @float_kernel
 def _covariance(one: Floats, other: Floats, prior: Floats) -> Floats:
-    """Give (n, m) the prior's covariance between places; `prior` as `_Prior.numbers` has it."""
+    """Give (n, m) the prior's covariance between places; `prior` as in `_Kriged`."""
     found = np.empty((one.shape[0], other.shape[0]))
+    _fill(one, other, prior, found, False)
+    return found
+
+
+@float_kernel
+def _fill(one: Floats, other: Floats, prior: Floats, found: Floats, half: bool) -> None:
+    """Write the covariance between places, from the diagonal on alone if it is asked for."""
     scale, trend, variance = math.sqrt(5.0) / prior[5], prior[3] ** 2, prior[4] ** 2
     # numbers of the prior are taken out of the loop: what is written might else be one of them
     middle_x, middle_y, half_mm = prior[0], prior[1], prior[2]
@@ -561,12 +607,11 @@ def _covariance(one: Floats, other: Floats, prior: Floats) -> Floats:
     for i in range(one.shape[0]):
         at_x, at_y, line = one[i, 0], one[i, 1], found[i]
         x, y = (at_x - middle_x) / half_mm**2, (at_y - middle_y) / half_mm**2
-        for j in range(x_mm.size):
+        for j in range(i if half else 0, x_mm.size):
             across, down = x * (x_mm[j] - middle_x), y * (y_mm[j] - middle_y)
             quadratic = 1.0 + across + down + across * across + across * down + down * down
             apart = scale * math.sqrt((at_x - x_mm[j]) ** 2 + (at_y - y_mm[j]) ** 2)
             line[j] = trend * quadratic + variance * _matern(apart)
-    return found
 
 
 @float_kernel

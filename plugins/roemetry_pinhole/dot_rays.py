@@ -25,9 +25,10 @@ from roemetry.errors import CalibrationError, StageError
 from roemetry.records import Profiles, Rays, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Alignment, Calibration
-from roemetry.records.light import at_height, meet
+from roemetry.records.light import at_height
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
+from roemetry_kernels.rays import meet_rays
 from roemetry_pinhole.bundle import Adjusted
 from roemetry_pinhole.dot_lattice import nearest_point
 from roemetry_pinhole.geometry import ON_BELT, Geometry, Unknowns, distort
@@ -278,7 +279,7 @@ class PinholeDots(Triangulator[StageOptions]):
         at = dots.line[stripe, row]
         xy_px = np.column_stack([stripes.x_px[stripe, row], dots.y_px[stripe, row]])
         own = dots.covariance_px2[stripe, row]
-        met = meet(view, lines[stripe, at], xy_px, own, rays.covariance[stripe, at])
+        met = meet_rays(view, lines[stripe, at], xy_px, own, rays.covariance[stripe, at])
         shape = stripes.x_px.shape
         xyz_mm, height_std_mm = np.full((*shape, 3), np.nan), np.full(shape, np.nan)
         xyz_mm[stripe, row] = at_height(lines[stripe, at], met.z_mm)
