@@ -239,24 +239,28 @@ class _Scene:
 
 @kernel
 def _crossings(contour: Floats, y: Floats) -> tuple[Integers, Floats]:
-    """Give where lines of constant `y` cross a closed contour: (n,) which line, in order, and x, rising."""
-    line, x, many = np.empty(16, np.int64), np.empty(16), 0
-    for k in range(y.size):
-        first = many
-        for i in range(contour.shape[0]):
-            one, other = contour[i], contour[i + 1 if i + 1 < contour.shape[0] else 0]
-            if (one[1] <= y[k]) == (other[1] <= y[k]):
-                continue
-            if many == line.size:
-                line, x = np.append(line, np.empty_like(line)), np.append(x, np.empty_like(x))
-            at = one[0] + (y[k] - one[1]) / (other[1] - one[1]) * (other[0] - one[0])
-            n = many
-            while n > first and x[n - 1] > at:
+    """Give where lines of constant, rising `y` cross a closed contour: (n,) which line and x, both rising."""
+    above = np.searchsorted(y, contour[:, 1])  # (contour,) the first line that is not below each point
+    count = contour.shape[0]
+    first = np.zeros(y.size + 1, np.int64)
+    for i in range(count):
+        j = i + 1 if i + 1 < count else 0
+        for k in range(min(above[i], above[j]), max(above[i], above[j])):
+            first[k + 1] += 1
+    first = np.cumsum(first)
+    line, x, end = np.empty(first[-1], np.int64), np.empty(first[-1]), first.copy()
+    for i in range(count):
+        j = i + 1 if i + 1 < count else 0
+        for k in range(min(above[i], above[j]), max(above[i], above[j])):
+            share = (y[k] - contour[i, 1]) / (contour[j, 1] - contour[i, 1])
+            at, n = contour[i, 0] + share * (contour[j, 0] - contour[i, 0]), end[k]
+            line[n] = k
+            while n > first[k] and x[n - 1] > at:
                 x[n] = x[n - 1]
                 n -= 1
-            line[many], x[n] = k, at
-            many += 1
-    return line[:many].copy(), x[:many].copy()
+            x[n] = at
+            end[k] += 1
+    return line, x
 
 
 @lru_cache(maxsize=1)
@@ -481,7 +485,8 @@ class _Kriged:
         across = _covariance(some[:, :2], self.place, self.prior)
         known = solve_triangular(self.factor, across.T, lower=True)
         left = _covariance(some[:, :2], some[:, :2], self.prior) - known.T @ known
-        left[np.diag_indices_from(left)] += _ROUNDING * float(np.trace(left)) / len(left)
+        own = np.einsum("ii->i", left)
+        own += _ROUNDING * float(own.mean())
         drawn = np.linalg.cholesky(left)
         noise = np.random.default_rng(0).standard_normal((drawn.shape[1], _DRAWS))
         fields = self.field(some[:, :2])[:, None] + drawn @ noise

@@ -220,7 +220,8 @@ def view_of(
         camera[:2] = camera[:2] * (1.0 + motion[2])
     # a plane through points of every ray, those that are not known at the others' middle
     points = np.concatenate([_at_height(lines, 0.0), _at_height(lines, _UP_MM)], axis=1)
-    middle = np.nanmean(points, axis=1, keepdims=True)
+    there = np.isfinite(points).all(axis=2, keepdims=True)
+    middle = points.sum(axis=1, keepdims=True, where=there) / np.maximum(there.sum(axis=1, keepdims=True), 1)
     off = np.nan_to_num(points - middle)
     normal = np.linalg.eigh(off.transpose(0, 2, 1) @ off)[1][:, :, 0]
     normal *= np.where(normal[:, :1] >= 0.0, 1.0, -1.0)
@@ -282,10 +283,10 @@ class PinholeDots(Triangulator[StageOptions]):
         met = meet_rays(view, lines[stripe, at], xy_px, own, rays.covariance[stripe, at])
         shape = stripes.x_px.shape
         xyz_mm, height_std_mm = np.full((*shape, 3), np.nan), np.full(shape, np.nan)
-        xyz_mm[stripe, row] = at_height(lines[stripe, at], met.z_mm)
-        height_std_mm[stripe, row] = met.z_std_mm
-        known = np.isfinite(xyz_mm).all(axis=2)
-        xyz_mm[~known] = np.nan
+        points = at_height(lines[stripe, at], met.z_mm)
+        points[~np.isfinite(points).all(axis=1)] = np.nan
+        xyz_mm[stripe, row], height_std_mm[stripe, row] = points, met.z_std_mm
+        known = np.isfinite(xyz_mm[..., 2])
         return Profiles(
             xyz_mm=xyz_mm,
             product=np.where(known, stripes.product, -1).astype(np.int16),
