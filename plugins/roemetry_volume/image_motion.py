@@ -401,7 +401,8 @@ def _fitted(
         else:
             one = _compared(dim, bright, motion, every)
         normal, right, std = step_sums(one, *slopes, slope_gain, dim.x, dim.y, every)
-        if one.gain <= 0.0 or np.linalg.cond(normal) > 1e14:
+        least, *_, most = np.linalg.eigvalsh(normal)
+        if one.gain <= 0.0 or not least > 1e-14 * most:
             return None
         step = np.linalg.solve(normal, right)
         motion = motion + step
@@ -427,25 +428,35 @@ def step_sums(
     x, y, every
         See `_Seen`, and how wide a pixel of the level is, px.
     """
-    normal, right, slope, squares = np.zeros((4, 4)), np.zeros(4), np.empty(4), 0.0
+    gain, squares = one.gain, 0.0
     for k in range(x.size):
-        left = one.b[k] - one.gain * one.a[k]
+        left = one.b[k] - gain * one.a[k]
         squares += left * left
     std = math.sqrt(squares / x.size)
+    # each sum a number of its own: so several places are taken at once
+    xx = xy = yy = xt = yt = tt = xg = yg = tg = gg = of_x = of_y = of_turn = of_growth = 0.0
     for k in range(x.size):
-        left = one.b[k] - one.gain * one.a[k]
+        left = one.b[k] - gain * one.a[k]
         weight = min(1.0, _ODD * std / max(abs(left), 1e-9))
         right_way, down_way = slope_gain * along[k], slope_gain * down[k]
-        slope[0], slope[1] = right_way / every, down_way / every
-        slope[2], slope[3] = down_way * x[k] - right_way * y[k], right_way * x[k] + down_way * y[k]
-        for i in range(4):
-            right[i] += weight * slope[i] * left
-            for j in range(i + 1):
-                normal[i, j] += weight * slope[i] * slope[j]
-    for i in range(4):
-        for j in range(i):
-            normal[j, i] = normal[i, j]
-    return normal, right, std
+        turn, growth = down_way * x[k] - right_way * y[k], right_way * x[k] + down_way * y[k]
+        across, below = right_way / every, down_way / every
+        xx += weight * across * across
+        xy += weight * across * below
+        yy += weight * below * below
+        xt += weight * across * turn
+        yt += weight * below * turn
+        tt += weight * turn * turn
+        xg += weight * across * growth
+        yg += weight * below * growth
+        tg += weight * turn * growth
+        gg += weight * growth * growth
+        of_x += weight * across * left
+        of_y += weight * below * left
+        of_turn += weight * turn * left
+        of_growth += weight * growth * left
+    normal = np.array([[xx, xy, xt, xg], [xy, yy, yt, yg], [xt, yt, tt, tg], [xg, yg, tg, gg]])
+    return normal, np.array([of_x, of_y, of_turn, of_growth]), std
 
 
 @float_kernel
