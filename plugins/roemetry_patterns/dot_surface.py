@@ -680,16 +680,19 @@ def _spread_mm3(scene: _Scene, tried: list[_Kriged]) -> float:
     return math.sqrt(float(shares @ (volumes - mean) ** 2 / shares.sum()))
 
 
+@kernel
 def _inside(contour: Floats, xy: Floats) -> Flags:
     """Say which places (n, 2) a closed contour encloses."""
-    x, y = xy.T[:, :, None]
-    ahead = np.roll(contour, -1, axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = contour[:, 0] + (y - contour[:, 1]) / (ahead[:, 1] - contour[:, 1]) * (
-            ahead[:, 0] - contour[:, 0]
-        )
-    crossed = (contour[:, 1] <= y) != (ahead[:, 1] <= y)
-    return np.asarray((crossed & (at > x)).sum(axis=1) % 2 == 1)
+    found = np.zeros(xy.shape[0], np.bool_)
+    for k in range(contour.shape[0]):
+        one, other = contour[k], contour[k + 1 if k + 1 < contour.shape[0] else 0]
+        if one[1] == other[1]:
+            continue
+        run = (other[0] - one[0]) / (other[1] - one[1])
+        for n in range(found.size):
+            crossed = (one[1] <= xy[n, 1]) != (other[1] <= xy[n, 1])
+            found[n] ^= crossed and one[0] + (xy[n, 1] - one[1]) * run > xy[n, 0]
+    return found
 
 
 def _height(field: Floats, rim_mm: float) -> Floats:

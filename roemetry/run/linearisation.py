@@ -178,8 +178,7 @@ def _parts(products: tuple[ProductTrace, ...], scene: Scene, chain: Chain, drawn
             lambda sign: drawn.products(stripes, calibration, outlines, offset_mm + sign * std_mm),
         )
     if PEAKS in drawn.causes:
-        for _ in range(_NOISE_PATTERNS):
-            unit = drawn.patterns()  # always: what follows is drawn from the same numbers
+        for unit in drawn.first_patterns(_NOISE_PATTERNS):  # all: what follows is drawn from the same numbers
             yield (
                 PEAKS,
                 1.0,
