@@ -483,7 +483,7 @@ class _Kriged:
 
         some = nodes[::2]
         across = _covariance(some[:, :2], self.place, self.prior)
-        known = solve_triangular(self.factor, across.T, lower=True)
+        known = solve_triangular(self.factor, across.T, lower=True, check_finite=False)
         left = _covariance(some[:, :2], some[:, :2], self.prior) - known.T @ known
         own = np.einsum("ii->i", left)
         own += _ROUNDING * float(own.mean())

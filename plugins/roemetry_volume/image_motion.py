@@ -347,7 +347,7 @@ def _of(a: Singles, dim: _Seen) -> _Compared:
 def _sampled(images: Singles, dim: _Seen, motion: Floats, every: float) -> Singles:
     """Give (image, place) what each of some images has at the places, once they have moved."""
     if not motion.any():
-        return images.reshape(len(images), -1)[:, dim.place]
+        return np.stack([image.ravel()[dim.place] for image in images])
     rows, columns = dim.size
     matrix = _matrix(motion / np.array([every, every, 1.0, 1.0]), rows, columns).astype(np.float32)
     # in the order in which OpenCV's warp rounds: what is the same along a row first
@@ -370,14 +370,15 @@ def sampled_at(images: Singles, place: Integers, of_column: Singles, of_row: Sin
             row, first = row + 1, first + columns
         column = np.float32(place[k] - first)
         x, y = of_column[0] * column + of_row[0, row], of_column[1] * column + of_row[1, row]
-        left, top = math.floor(x), math.floor(y)
-        share, low = np.float32(x - left), np.float32(y - top)
-        j, right = min(max(left, 0), columns - 1), min(max(left + 1, 0), columns - 1)
-        i, under = min(max(top, 0), rows - 1), min(max(top + 1, 0), rows - 1)
-        for n in range(images.shape[0]):
-            image = images[n]
-            above = image[i, j] + share * (image[i, right] - image[i, j])
-            below = image[under, j] + share * (image[under, right] - image[under, j])
+        left, top = np.floor(x), np.floor(y)
+        share, low = x - left, y - top
+        # unsigned, which no index from the end can be
+        j, i = np.uint64(min(max(left, 0), columns - 1)), np.uint64(min(max(top, 0), rows - 1))
+        right = np.uint64(min(max(left + 1, 0), columns - 1))
+        under = np.uint64(min(max(top + 1, 0), rows - 1))
+        for n in range(np.uint64(images.shape[0])):
+            above = images[n, i, j] + share * (images[n, i, right] - images[n, i, j])
+            below = images[n, under, j] + share * (images[n, under, right] - images[n, under, j])
             found[n, k] = above + low * (below - above)
     return found
 
