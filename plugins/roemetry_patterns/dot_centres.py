@@ -28,7 +28,7 @@ from roemetry.records import EDGE, SATURATED, WIDE, Dots, Frame, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
-from roemetry_kernels.image_levels import clipped_beyond, grey
+from roemetry_kernels.image_levels import clipped_beyond, grey, median_of
 from roemetry_kernels.robust_fit import solve
 
 _NOISES = 8.0
@@ -115,9 +115,8 @@ def found_dots(image: Floats, white: int, amplitude_min: float | None = None) ->
     if min(image.shape) < 2 * _RADIUS_PX[0] + 1:
         return np.empty((0, 3)), 1.0
     # of rounded grey levels that hardly scatter, the rounding is what remains
-    noise = max(
-        1.4826 * float(np.median(np.abs(np.diff(image[::_NOISE_ROWS], axis=1)))) / math.sqrt(2.0), 0.3
-    )
+    usual = median_of(np.abs(np.diff(image[::_NOISE_ROWS], axis=1)).ravel())
+    noise = max(1.4826 * usual / math.sqrt(2.0), 0.3)
     smooth = (cv2.GaussianBlur(image.astype(np.float32), (0, 0), s) for s in (_FINE_PX, _COARSE_PX))
     raised = next(smooth) - next(smooth)
     least = max(_NOISES * noise / (2.0 * math.sqrt(math.pi) * _FINE_PX), _LEVELS * white)
@@ -185,7 +184,7 @@ def _speckle(image: Floats, values: Floats, radius: Integers, given: Floats) -> 
     return float(over[0] / alike[best, 0]), float(_CORRELATIONS[best])
 
 
-@kernel
+@float_kernel
 def _speckle_sums(
     image: Floats, values: Floats, radius: Integers, given: Floats, correlations: Floats
 ) -> tuple[Floats, Floats, Floats]:
@@ -232,38 +231,41 @@ def _speckle_sums(
         if np.linalg.matrix_rank(normal) < 7:
             continue  # what is no dot, but an edge or a line, leaves numbers of the fit open
         inverse = np.linalg.inv(normal)
-        pull, times, across = np.zeros((2, many, 7)), np.zeros((many, 7)), np.zeros((2, 7, 7))
+        # number by number, pixels in a row: pairs of pixels are then taken several at a time
+        pull, times, across = np.zeros((2, 7, many)), np.zeros((7, many)), np.zeros((2, 7, 7))
         for k in range(many):
             for a in range(7):
                 for b in range(7):
-                    times[k, a] += inverse[a, b] * slope[k, b] / own[k, 3]
+                    times[a, k] += inverse[a, b] * slope[k, b] / own[k, 3]
             light = own[k, 1]
             seen[0] += (light * own[k, 0]) ** 2
-            pull[0, k] = light**2 * slope[k]
+            pull[0, :, k] = light**2 * slope[k]
             for step_y, step_x in ((0, 1), (0, -1), (1, 0), (-1, 0)):
                 y, x = place[k, 0] + step_y - y0, place[k, 1] + step_x - x0
                 if 0 <= y < y1 - y0 and 0 <= x < x1 - x0 and number[y, x] >= 0:
                     other = number[y, x]
                     weight = light * own[other, 1]
                     seen[1] += weight * own[k, 0] * own[other, 0]
-                    pull[1, k] += weight * slope[other]
+                    pull[1, :, k] += weight * slope[other]
             for which in range(2):
                 for a in range(7):
                     for b in range(7):
-                        across[which, a, b] += slope[k, a] * pull[which, k, b]
+                        across[which, a, b] += slope[k, a] * pull[which, b, k]
         for which in range(2):
-            half = np.zeros((many, 7))
-            for k in range(many):
-                for a in range(7):
-                    half[k, a] = -pull[which, k, a]
-                    for b in range(7):
-                        half[k, a] += across[which, a, b] * times[k, b]
+            half, pairs = -pull[which], np.empty(many)
+            for a in range(7):
+                for b in range(7):
+                    for k in range(many):
+                        half[a, k] += across[which, a, b] * times[b, k]
             of_distance = np.zeros(8 * r * r + 1)
             for k in range(many):
+                pairs[:] = 0.0
+                for a in range(7):
+                    one, other_way, mine, ours = times[a], pull[which, a], half[a, k], times[a, k]
+                    for n in range(k + 1):
+                        pairs[n] += mine * one[n] - ours * other_way[n]
                 for n in range(k + 1):
-                    weight = 0.0
-                    for a in range(7):
-                        weight += half[k, a] * times[n, a] - times[k, a] * pull[which, n, a]
+                    weight = pairs[n]
                     apart = (place[k, 0] - place[n, 0]) ** 2 + (place[k, 1] - place[n, 1]) ** 2
                     if apart == which:
                         weight += own[k, 1] * own[n, 1]
