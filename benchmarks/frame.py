@@ -2,8 +2,9 @@
 
 ``python -m benchmarks frame [--recipe recipes/herring_roe] [--repeats 50] [--sets fastest,careful,recipe]``
 ``python -m benchmarks frame --table [--repeats 5]``: what each shipped chain states and takes, as in README
+``python -m benchmarks frame --patterns [--repeats 5]``: the same of the recipes of patterns
 
-One core, after warm-up, without files and without uncertainty. Milliseconds move with the machine and its
+One core, after warm-up, without files; uncertainty only in tables. Milliseconds move with the machine and its
 load: the 5 % quickest frames are the least disturbed, and OpenCV's blur and dilation of the same image stand
 beside them as a yardstick. What other programs take away is in no processor time.
 """
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import cv2
 
@@ -44,9 +45,10 @@ def main() -> None:
     parser.add_argument("--sets", default=",".join(SETS))
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     parser.add_argument("--table", action="store_true", help="one line for each shipped chain")
+    parser.add_argument("--patterns", action="store_true", help="one line for each recipe of a pattern")
     given = parser.parse_args()
-    if given.table:
-        _print_table(given.repeats)
+    if given.table or given.patterns:
+        _print_table(CHAINS if given.table else PATTERN_CHAINS, given.repeats)
         return
     for name in given.sets.split(","):
         _print_parts(name, given.recipe, given.repeats, [*_sets_of(name), *given.overrides])
@@ -59,11 +61,15 @@ CHAINS = (
     ("`with_outline`", _BEST, "recipe", None, "every number with its uncertainty"),
 )
 """Name, recipe, set of stages, draws, what is stated."""
+PATTERN_CHAINS = tuple(
+    (f"`{name}`", f"recipes/{name}", "recipe", None, "volume with its uncertainty")
+    for name in ("potato_dots", "potato_circles", "potato_two_colours", "potato_grid")
+)
 
 
-def _print_table(repeats: int) -> None:
+def _print_table(chains: Sequence[tuple[str, str, str, int | None, str]], repeats: int) -> None:
     rows, first = [], 0.0
-    for name, path, stages, draws, states in CHAINS:
+    for name, path, stages, draws, states in chains:
         recipe = Recipe.load(path, sets=_sets_of(stages))
         source, pipeline = recipe.source.make(), Pipeline(recipe, draws=draws)
         acquisitions = [source.read(one) for one in source.references(recipe.source_path)[:4]]

@@ -34,6 +34,7 @@ from roemetry.records.stripes import AMBIGUOUS, UNLABELLED
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, Coder, StageOptions
 from roemetry_kernels.bridging import BridgingOptions, bridged
+from roemetry_kernels.compiling import kernel
 from roemetry_kernels.consistency import keep_order, refuse_uncodable, required_calibration
 from roemetry_kernels.rest_lines import RestLines, calibrated_rest_lines, reasons_of
 from roemetry_kernels.tracing import trace_fragments
@@ -277,21 +278,46 @@ def _reaching(calibration: Calibration) -> Integers:
 def _decided(problem: _Problem) -> tuple[Floats, Integers]:
     """Give (piece,) by how much the best label is cheaper than the next, and the label."""
     stripe, alone, edge, pair = problem
-    # messages go both ways along every edge
-    source = np.concatenate([edge[:, 0], edge[:, 1]])
-    target = np.concatenate([edge[:, 1], edge[:, 0]])
-    cost = np.concatenate([pair, pair.transpose(0, 2, 1)])
-    back = np.roll(np.arange(source.size), len(edge))
-    message = np.zeros((source.size, stripe.shape[1]))
-    belief = alone
-    for _ in range(_ROUNDS):
-        told = belief[source] - np.where(np.isfinite(belief[source]), message[back], 0.0)
-        new = (told[:, :, None] + cost).min(axis=1)
-        new -= new.min(axis=1, keepdims=True)
-        message = _DAMPED * message + (1.0 - _DAMPED) * new
-        belief = alone.copy()
-        np.add.at(belief, target, message)
+    belief = passed_on(alone, edge, pair)
     order = np.sort(belief, axis=1)
     evidence = order[:, 1] - order[:, 0] if order.shape[1] > 1 else np.zeros(len(order))
     best = belief.argmin(axis=1)
     return np.where(np.isfinite(evidence), evidence, _NOTHING), stripe[np.arange(len(stripe)), best]
+
+
+@kernel
+def passed_on(alone: Floats, edge: Integers, pair: Floats) -> Floats:
+    """Give (piece, candidate) what a label costs with what the pieces beside it say, and those beside them.
+
+    Messages go both ways along every edge, all at once, each without what its receiver has said itself.
+    """
+    count, many = edge.shape[0], alone.shape[1]
+    belief, told = alone.copy(), np.empty(many)
+    message, said = np.zeros((2, count, many)), np.zeros((2, count, many))
+    for _ in range(_ROUNDS):
+        for way in range(2):
+            for n in range(count):
+                source = edge[n, way]
+                for a in range(many):
+                    told[a] = belief[source, a]
+                    if np.isfinite(told[a]):
+                        told[a] -= message[1 - way, n, a]
+                least = np.inf
+                for b in range(many):
+                    cheapest = np.inf
+                    for a in range(many):
+                        cost = told[a] + (pair[n, b, a] if way else pair[n, a, b])
+                        cheapest = min(cheapest, cost)
+                    said[way, n, b] = cheapest
+                    least = min(least, cheapest)
+                for b in range(many):
+                    said[way, n, b] = _DAMPED * message[way, n, b] + (1.0 - _DAMPED) * (
+                        said[way, n, b] - least
+                    )
+        message, said = said, message
+        belief = alone.copy()
+        for way in range(2):
+            for n in range(count):
+                for a in range(many):
+                    belief[edge[n, 1 - way], a] += message[way, n, a]
+    return belief

@@ -186,18 +186,15 @@ class _Met:
 def _crossings(upright: StripeMap, across: StripeMap, pair: _Families) -> _Met:
     """Find where labelled lines cross, and whether their heights agree there."""
     upright_px, across_px = _whole(upright, _REACH_ROWS), _whole(across, _REACH_ROWS)
-    below, at = _beside(upright_px, across_px)
-    with np.errstate(invalid="ignore"):
-        crossed = (below[:, :, :-1] > 0.0) != (below[:, :, 1:] > 0.0)
-        crossed &= np.isfinite(below[:, :, :-1] + below[:, :, 1:])
-        crossed &= np.abs(below[:, :, 1:] - below[:, :, :-1]) < _STEP_PX
-    line, stripe, row = np.nonzero(crossed)
-    first, second = below[line, stripe, row], below[line, stripe, row + 1]
+    line, stripe, row = _crossed(upright_px, across_px)
+    column = _column_of(across_px, upright_px[stripe, row])
+    first = across_px[line, column] - row
+    second = across_px[line, _column_of(across_px, upright_px[stripe, row + 1])] - (row + 1)
     share = first / (first - second)
     x_px = (1.0 - share) * upright_px[stripe, row] + share * upright_px[stripe, row + 1]
     xy_px = np.column_stack([x_px, row + share])
     off = pair.upright_mm(xy_px, stripe) - pair.across_mm(xy_px, line)
-    agree, column = np.abs(off) < _SAME * pair.worth_mm, at[stripe, row]
+    agree = np.abs(off) < _SAME * pair.worth_mm
     # beside a line's end may be another surface, which contradicts nothing
     inside = _inner(upright)[stripe, row] & _inner(across)[line, column]
     kept = agree | inside
@@ -210,7 +207,7 @@ def _whole(stripes: StripeMap, reach_rows: int) -> Floats:
         _drawn_out(_over_gaps(np.where(stripes.seen & where, stripes.x_px, np.nan)), reach_rows)
         for where in (stripes.product > 0, stripes.product <= 0)
     )
-    return np.where(np.isfinite(on), on, belt)
+    return np.asarray(np.where(np.isfinite(on), on, belt))
 
 
 def _inner(stripes: StripeMap) -> Flags:
@@ -222,61 +219,87 @@ def _inner(stripes: StripeMap) -> Flags:
     return inner
 
 
+@kernel
+def _crossed(x_px: Floats, across_px: Floats) -> tuple[Integers, Integers, Integers]:
+    """Give (n,) line across, stripe and row where, from that row to the next, a stripe crosses the line."""
+    count, rows, columns = x_px.shape[0], x_px.shape[1], across_px.shape[1]
+    found, many = np.empty((3, 64), np.int64), 0
+    for line in range(across_px.shape[0]):
+        for stripe in range(count):
+            last = np.nan
+            for row in range(rows):
+                below, at = np.nan, columns - 1 - np.rint(x_px[stripe, row])
+                if 0 <= at < columns:  # else outside of the image, or nowhere
+                    below = across_px[line, int(at)] - row
+                if (last > 0.0) != (below > 0.0) and abs(below - last) < _STEP_PX:
+                    if many == found.shape[1]:
+                        found = np.concatenate((found, np.empty_like(found)), axis=1)
+                    found[0, many], found[1, many], found[2, many] = line, stripe, row - 1
+                    many += 1
+                last = below
+    return found[0, :many].copy(), found[1, :many].copy(), found[2, :many].copy()
+
+
+def _column_of(across_px: Floats, x_px: Floats) -> Integers:
+    """Give the columns of lines across at places in the image: they count as rows of the turned image do."""
+    return np.asarray(across_px.shape[1] - 1 - np.rint(x_px).astype(np.int64))
+
+
+@kernel
 def _drawn_out(x_px: Floats, reach_rows: int) -> Floats:
     """Give lines that go on straight for so many rows behind their ends."""
-    drawn = x_px.copy()
-    for way in (1, -1):
-        at, there = x_px[:, ::way], drawn[:, ::way]
-        ends = np.isfinite(at[:, _BACK_ROWS:-1] + at[:, : -_BACK_ROWS - 1]) & np.isnan(
-            at[:, _BACK_ROWS + 1 :]
-        )
-        line, end = np.nonzero(ends)
-        end = end + _BACK_ROWS
-        slope = (at[line, end] - at[line, end - _BACK_ROWS]) / _BACK_ROWS
-        for step in range(1, reach_rows + 1):
-            row = np.minimum(end + step, at.shape[1] - 1)
-            free = np.isnan(at[line, row])
-            there[line[free], row[free]] = (at[line, end] + step * slope)[free]
+    drawn, last = x_px.copy(), x_px.shape[1] - 1
+    for line in range(x_px.shape[0]):
+        for way in (1, -1):
+            for step in range(1, reach_rows + 1):
+                for end in range(_BACK_ROWS, last):
+                    row, back, ahead = end, end - _BACK_ROWS, end + 1
+                    beyond = min(end + step, last)
+                    if way < 0:
+                        row, back, ahead, beyond = last - row, last - back, last - ahead, last - beyond
+                    at = x_px[line, row]
+                    ends = np.isnan(x_px[line, ahead]) and np.isfinite(at + x_px[line, back])
+                    if ends and np.isnan(x_px[line, beyond]):
+                        drawn[line, beyond] = at + step * ((at - x_px[line, back]) / _BACK_ROWS)
     return drawn
 
 
+@kernel
 def _over_gaps(x_px: Floats) -> Floats:
     """Give the places of lines with breaks filled that crossings make."""
     filled, run = x_px.copy(), _runs(x_px, _GAP_ROWS)
-    for line, number in zip(filled, run, strict=True):
-        there = np.flatnonzero(number >= 0)
-        broken = np.flatnonzero((np.diff(there) > 1) & (np.diff(number[there]) == 0))
-        for one, other in zip(there[broken], there[broken + 1], strict=True):
-            line[one:other] = np.linspace(line[one], line[other], other - one, endpoint=False)
+    for line in range(x_px.shape[0]):
+        before = -1
+        for row in range(x_px.shape[1]):
+            if run[line, row] < 0:
+                continue
+            if 0 <= before < row - 1 and run[line, before] == run[line, row]:
+                step = (x_px[line, row] - x_px[line, before]) / (row - before)
+                for k in range(before + 1, row):
+                    filled[line, k] = x_px[line, before] + (k - before) * step
+            before = row
     return filled
 
 
-def _beside(x_px: Floats, across_px: Floats) -> tuple[Floats, Integers]:
-    """Give (line, stripe, row) px that lines across lie below places (stripe, row), and their column.
-
-    The column counts as rows of the turned image do.
-    """
-    columns = across_px.shape[1]
-    at = columns - 1 - np.rint(np.nan_to_num(x_px, nan=-1.0)).astype(np.int64)
-    inside = np.isfinite(x_px) & (at >= 0) & (at < columns)
-    at = np.clip(at, 0, columns - 1)
-    row = np.arange(x_px.shape[1])
-    return np.where(inside, across_px[:, at] - row, np.nan), at
-
-
-def _runs(x_px: Floats, gap_rows: int = 0) -> Integers:
+@kernel
+def _runs(x_px: Floats, gap_rows: int) -> Integers:
     """Give (stripe, row) the number of the run of rows without break or step; −1 where nothing is.
 
     Breaks of as many as `gap_rows`, behind which the stripe lies as near as a step, are none.
     """
-    there, rows = np.isfinite(x_px), np.arange(x_px.shape[1])
-    before = np.maximum.accumulate(np.where(there, rows, -1), axis=1)
-    before = np.concatenate([np.full((len(x_px), 1), -1), before[:, :-1]], axis=1)
-    step = np.abs(x_px - np.take_along_axis(x_px, np.maximum(before, 0), axis=1))
-    with np.errstate(invalid="ignore"):
-        on = (before >= 0) & (rows - before <= 1 + gap_rows) & (step < _STEP_PX * (1.0 + 0.25 * gap_rows))
-    number = np.cumsum(there & ~on).reshape(x_px.shape) - 1
-    return np.where(there, number, -1)
+    found, number = np.full(x_px.shape, -1), -1
+    for stripe in range(x_px.shape[0]):
+        before = -1
+        for row in range(x_px.shape[1]):
+            if np.isnan(x_px[stripe, row]):
+                continue
+            goes_on = before >= 0 and row - before <= 1 + gap_rows
+            if goes_on:
+                step_px = abs(x_px[stripe, row] - x_px[stripe, before])
+                goes_on = step_px < _STEP_PX * (1.0 + 0.25 * gap_rows)
+            number += not goes_on
+            found[stripe, row], before = number, row
+    return found
 
 
 def _followed(stripes: StripeMap, peaks: Peaks) -> StripeMap:
@@ -388,7 +411,7 @@ def _without_shadow_edges(stripes: StripeMap) -> StripeMap:
 
     Where the edge of a shadow cuts a line obliquely, its last rows on the belt lie beside their rest line.
     """
-    run = _runs(np.where(stripes.seen & (stripes.product > 0), stripes.x_px, np.nan))
+    run = _runs(np.where(stripes.seen & (stripes.product > 0), stripes.x_px, np.nan), 0)
     short = np.bincount(run[run >= 0], minlength=1) <= _STRAY_ROWS
     out = (run >= 0) & short[run]
     if not out.any():
@@ -421,7 +444,7 @@ def _kept(
     """
     out, many = np.zeros(stripes.x_px.shape, np.bool_), 0
     for on, least in ((stripes.product > 0, 1.0), (stripes.product <= 0, 0.0)):
-        run = _runs(_drawn_out(_over_gaps(np.where(on, stripes.x_px, np.nan)), _REACH_ROWS))
+        run = _runs(_drawn_out(_over_gaps(np.where(on, stripes.x_px, np.nan)), _REACH_ROWS), 0)
         at = run[stripe, row]
         counted = at >= 0
         count = int(run.max(initial=-1)) + 1
@@ -462,7 +485,7 @@ def _with_thin_parts(stripes: StripeMap, calibration: Calibration) -> StripeMap:
         return stripes
     least_px = max(_THIN_PX, _THIN_SCATTERS * float(np.median(np.abs(off[belt]))))
     thin = belt & (off > least_px)
-    run = _runs(np.where(thin | on, stripes.x_px, np.nan))
+    run = _runs(np.where(thin | on, stripes.x_px, np.nan), 0)
     count = int(run.max(initial=-1)) + 1
     length = np.bincount(run[thin], minlength=count)
     joined = np.bincount(run[on], minlength=count) > 0

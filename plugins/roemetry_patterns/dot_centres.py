@@ -27,8 +27,9 @@ from pydantic import Field
 from roemetry.records import EDGE, SATURATED, WIDE, Dots, Frame, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_kernels.compiling import float_kernel, kernel
-from roemetry_kernels.image_levels import clipped_beyond, grey
+from roemetry_kernels.compiling import float_kernel, inlined, kernel
+from roemetry_kernels.image_levels import clipped_beyond, grey, median_of
+from roemetry_kernels.robust_fit import solve
 
 _NOISES = 8.0
 """Of the smoothed image's noise, that a dot's top rises above its surroundings."""
@@ -114,9 +115,8 @@ def found_dots(image: Floats, white: int, amplitude_min: float | None = None) ->
     if min(image.shape) < 2 * _RADIUS_PX[0] + 1:
         return np.empty((0, 3)), 1.0
     # of rounded grey levels that hardly scatter, the rounding is what remains
-    noise = max(
-        1.4826 * float(np.median(np.abs(np.diff(image[::_NOISE_ROWS], axis=1)))) / math.sqrt(2.0), 0.3
-    )
+    usual = median_of(np.abs(np.diff(image[::_NOISE_ROWS], axis=1)).ravel())
+    noise = max(1.4826 * usual / math.sqrt(2.0), 0.3)
     smooth = (cv2.GaussianBlur(image.astype(np.float32), (0, 0), s) for s in (_FINE_PX, _COARSE_PX))
     raised = next(smooth) - next(smooth)
     least = max(_NOISES * noise / (2.0 * math.sqrt(math.pi) * _FINE_PX), _LEVELS * white)
@@ -184,7 +184,7 @@ def _speckle(image: Floats, values: Floats, radius: Integers, given: Floats) -> 
     return float(over[0] / alike[best, 0]), float(_CORRELATIONS[best])
 
 
-@kernel
+@float_kernel
 def _speckle_sums(
     image: Floats, values: Floats, radius: Integers, given: Floats, correlations: Floats
 ) -> tuple[Floats, Floats, Floats]:
@@ -231,38 +231,41 @@ def _speckle_sums(
         if np.linalg.matrix_rank(normal) < 7:
             continue  # what is no dot, but an edge or a line, leaves numbers of the fit open
         inverse = np.linalg.inv(normal)
-        pull, times, across = np.zeros((2, many, 7)), np.zeros((many, 7)), np.zeros((2, 7, 7))
+        # number by number, pixels in a row: pairs of pixels are then taken several at a time
+        pull, times, across = np.zeros((2, 7, many)), np.zeros((7, many)), np.zeros((2, 7, 7))
         for k in range(many):
             for a in range(7):
                 for b in range(7):
-                    times[k, a] += inverse[a, b] * slope[k, b] / own[k, 3]
+                    times[a, k] += inverse[a, b] * slope[k, b] / own[k, 3]
             light = own[k, 1]
             seen[0] += (light * own[k, 0]) ** 2
-            pull[0, k] = light**2 * slope[k]
+            pull[0, :, k] = light**2 * slope[k]
             for step_y, step_x in ((0, 1), (0, -1), (1, 0), (-1, 0)):
                 y, x = place[k, 0] + step_y - y0, place[k, 1] + step_x - x0
                 if 0 <= y < y1 - y0 and 0 <= x < x1 - x0 and number[y, x] >= 0:
                     other = number[y, x]
                     weight = light * own[other, 1]
                     seen[1] += weight * own[k, 0] * own[other, 0]
-                    pull[1, k] += weight * slope[other]
+                    pull[1, :, k] += weight * slope[other]
             for which in range(2):
                 for a in range(7):
                     for b in range(7):
-                        across[which, a, b] += slope[k, a] * pull[which, k, b]
+                        across[which, a, b] += slope[k, a] * pull[which, b, k]
         for which in range(2):
-            half = np.zeros((many, 7))
-            for k in range(many):
-                for a in range(7):
-                    half[k, a] = -pull[which, k, a]
-                    for b in range(7):
-                        half[k, a] += across[which, a, b] * times[k, b]
+            half, pairs = -pull[which], np.empty(many)
+            for a in range(7):
+                for b in range(7):
+                    for k in range(many):
+                        half[a, k] += across[which, a, b] * times[b, k]
             of_distance = np.zeros(8 * r * r + 1)
             for k in range(many):
+                pairs[:] = 0.0
+                for a in range(7):
+                    one, other_way, mine, ours = times[a], pull[which, a], half[a, k], times[a, k]
+                    for n in range(k + 1):
+                        pairs[n] += mine * one[n] - ours * other_way[n]
                 for n in range(k + 1):
-                    weight = 0.0
-                    for a in range(7):
-                        weight += half[k, a] * times[n, a] - times[k, a] * pull[which, n, a]
+                    weight = pairs[n]
                     apart = (place[k, 0] - place[n, 0]) ** 2 + (place[k, 1] - place[n, 1]) ** 2
                     if apart == which:
                         weight += own[k, 1] * own[n, 1]
@@ -363,19 +366,19 @@ def _fit(
         many = (x1 - x0) * (y1 - y0)
         if many < 20:
             continue
-        slope = np.zeros((many, 7))
+        # number by number, pixels in a row: sums over pixels are then taken several at a time
+        slope, weighted = np.zeros((7, many)), np.empty(many)
         light, weight, off = np.zeros(many), np.zeros(many), np.zeros(many)
-        normal = np.zeros((7, 7))
+        normal, factor = np.zeros((7, 7)), np.zeros((7, 7))
         sound, settled = True, False
         for step in range(rounds + 1):
-            normal[:] = 0.0
-            right = np.zeros(7)
+            change = np.zeros(7)
             determinant = p[4] * p[6] - p[5] * p[5]
             if not (determinant > 0.01 and p[4] > 0.05 and p[6] > 0.05 and p[4] + p[6] < 300.0):
                 sound = False
                 break
             ia, ib, ic = p[6] / determinant, -p[5] / determinant, p[4] / determinant
-            squares, used = 0.0, 0
+            used = 0
             for y in range(y0, y1):
                 for x in range(x0, x1):
                     k = (y - y0) * (x1 - x0) + x - x0
@@ -394,25 +397,27 @@ def _fit(
                     variance = given[0] + given[1] * max(m, 0.0) + given[2] * m * m
                     weight[k] = 1.0 / variance
                     off[k] = image[y, x] - p[3] - m
-                    slope[k, 0], slope[k, 1], slope[k, 2], slope[k, 3] = m * tu, m * tv, shape, 1.0
-                    slope[k, 4], slope[k, 5], slope[k, 6] = 0.5 * m * tu * tu, m * tu * tv, 0.5 * m * tv * tv
-                    squares += weight[k] * off[k] * off[k]
+                    slope[0, k], slope[1, k], slope[2, k], slope[3, k] = m * tu, m * tv, shape, 1.0
+                    slope[4, k], slope[5, k], slope[6, k] = 0.5 * m * tu * tu, m * tu * tv, 0.5 * m * tv * tv
                     used += 1
-                    for a in range(7):
-                        right[a] += weight[k] * slope[k, a] * off[k]
-                        for b in range(a + 1):
-                            normal[a, b] += weight[k] * slope[k, a] * slope[k, b]
             if used < 12:
                 sound = False
                 break
             for a in range(7):
-                for b in range(a):
-                    normal[b, a] = normal[a, b]
+                one = slope[a]
+                for k in range(many):
+                    weighted[k] = weight[k] * one[k]
+                change[a] = _product(weighted, off)
+                for b in range(a + 1):
+                    normal[a, b] = _product(weighted, slope[b])
                 normal[a, a] *= 1.0 + 1e-9
-            misfit[i] = math.sqrt(squares / (used - 7))
+            for k in range(many):
+                weighted[k] = weight[k] * off[k]
+            misfit[i] = math.sqrt(_product(weighted, off) / (used - 7))
             if settled or step == rounds:
                 break
-            change = np.linalg.solve(normal, right)
+            factor[:] = normal
+            solve(factor, change)
             settled = max(abs(change[0]), abs(change[1])) < _SETTLED_PX
             # a start may be far off: no step goes farther than a pixel or changes a size by more than half
             share = min(1.0, 1.0 / max(abs(change[0]), abs(change[1]), 1e-9))
@@ -425,48 +430,58 @@ def _fit(
         if not sound:
             misfit[i] = np.nan
             continue
-        inverse = np.linalg.inv(normal)
-        if given[2] > 0.0 and given[3] > 0.0:
-            shared = _shared(light, weight, slope, inverse, x1 - x0, given)
-            inverse[:2, :2] += shared
-        found[i] = p
+        # of the inverse two rows are asked for
+        inverse = np.zeros((2, 7))
         for a in range(2):
-            for b in range(2):
-                covariance[i, a, b] = inverse[a, b]
+            inverse[a, a] = 1.0
+            factor[:] = normal
+            solve(factor, inverse[a])
+        found[i], covariance[i] = p, inverse[:, :2]
+        if given[2] > 0.0 and given[3] > 0.0:
+            covariance[i] += _shared(light, weight, slope, inverse, x1 - x0, given)
     return found, covariance, misfit, clipped
 
 
-@kernel
+@float_kernel
 def _shared(
     light: Floats, weight: Floats, slope: Floats, inverse: Floats, across: int, given: Floats
 ) -> Floats:
     """What speckle that neighbouring pixels share, ρ^(Δ²), adds to the covariance of x and y."""
-    added = np.zeros((2, 2))
-    down = light.size // across
-    pull = np.zeros((light.size, 2))  # how a pixel moves the centre, times its light
-    for k in range(light.size):
-        for a in range(2):
-            for b in range(7):
-                pull[k, a] += inverse[a, b] * slope[k, b] * weight[k] * light[k]
+    added, down = np.zeros((2, 2)), light.size // across
+    pull = np.zeros((2, down, across))  # how a pixel moves the centre, times its light
+    for a in range(2):
+        line = pull[a].ravel()
+        for b in range(7):
+            one, share = slope[b], inverse[a, b]
+            for k in range(light.size):
+                line[k] += share * one[k]
+        for k in range(light.size):
+            line[k] *= weight[k] * light[k]
     # ρ^(u² + v²) is a product: first along rows, then down columns; a power takes longer than all else
-    share = np.empty(_ALIKE + 1)
-    for u in range(_ALIKE + 1):
-        share[u] = given[3] ** (u * u)
-    along = np.zeros((light.size, 2))
-    for y in range(down):
-        for x in range(across):
-            for u in range(max(x - _ALIKE, 0), min(x + _ALIKE + 1, across)):
-                for a in range(2):
-                    along[y * across + x, a] += share[abs(u - x)] * pull[y * across + u, a]
-    for y in range(down):
-        for x in range(across):
-            k = y * across + x
-            if weight[k] == 0.0:
-                continue
-            for a in range(2):
-                around = -pull[k, a]  # what it shares with itself is counted as noise
-                for v in range(max(y - _ALIKE, 0), min(y + _ALIKE + 1, down)):
-                    around += share[abs(v - y)] * along[v * across + x, a]
-                for b in range(2):
-                    added[b, a] += given[2] * pull[k, b] * around
+    along, around = np.zeros((2, down, across)), -pull  # what it shares with itself is counted as noise
+    for step in range(-_ALIKE, _ALIKE + 1):
+        share = given[3] ** (step * step)
+        for a in range(2):
+            for y in range(down):
+                to, of = along[a, y], pull[a, y]
+                for x in range(max(-step, 0), min(across - step, across)):
+                    to[x] += share * of[x + step]
+    for step in range(-_ALIKE, _ALIKE + 1):
+        share = given[3] ** (step * step)
+        for a in range(2):
+            for y in range(max(-step, 0), min(down - step, down)):
+                to, of = around[a, y], along[a, y + step]
+                for x in range(across):
+                    to[x] += share * of[x]
+    for a in range(2):
+        for b in range(2):
+            added[b, a] = given[2] * _product(pull[b].ravel(), around[a].ravel())
     return added
+
+
+@inlined
+def _product(one: Floats, other: Floats) -> float:
+    total = 0.0
+    for k in range(one.size):
+        total += one[k] * other[k]
+    return total

@@ -23,11 +23,13 @@ from typing import ClassVar
 import numpy as np
 
 from roemetry.errors import StageError
-from roemetry.records import Estimate, Product, Reason, Shares, Surface, Volume
+from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Surface, Volume
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
+from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.lens import sight_lines
+from roemetry_kernels.robust_fit import solve
 
 _POINTS_MAX = 150
 """Points that count: the time grows with their cube, and 250 bring a volume no nearer to the truth."""
@@ -211,7 +213,6 @@ class _Scene:
         turned = not per_line and bool(np.ptp(contour[:, 0]) > np.ptp(contour[:, 1]))
         if turned:
             contour = contour[:, ::-1]
-        ahead = np.roll(contour, -1, axis=0)
         low, high = float(contour[:, 1].min()), float(contour[:, 1].max())
         step = (high - low) / _NODES[0]
         angle, share = _gauss()
@@ -219,11 +220,7 @@ class _Scene:
             angle = np.linspace(-0.5, 0.5, _NODES[1]) * np.pi
         place = 0.5 + (0.499 if per_line else 0.5) * np.sin(angle)
         y = low + step * (np.arange(_NODES[0]) + 0.5)
-        line, at = np.nonzero((contour[:, 1] <= y[:, None]) != (ahead[:, 1] <= y[:, None]))
-        one, other = contour[at], ahead[at]
-        x = one[:, 0] + (y[line] - one[:, 1]) / (other[:, 1] - one[:, 1]) * (other[:, 0] - one[:, 0])
-        order = np.lexsort((x, line))  # every line leaves the border as often as it enters it
-        line, x = line[order], x[order]
+        line, x = _crossings(contour, y)  # every line leaves the border as often as it enters it
         if per_line:
             first = np.flatnonzero(np.diff(line, prepend=-1))
             last = np.append(first[1:], line.size) - 1
@@ -235,8 +232,35 @@ class _Scene:
             [left[:, None] + wide * place, np.broadcast_to(y[line, None], (line.size, place.size)),
              step * wide * share], axis=2,
         ).reshape(-1, 3)  # fmt: skip
-        nodes[:, 2] *= abs(_area(contour)) / nodes[:, 2].sum()  # ends of the lines are between nodes
+        # ends of the lines are between nodes
+        nodes[:, 2] *= abs(_area(contour)) / nodes[:, 2].sum()
         return nodes[:, [1, 0, 2]] if turned else nodes
+
+
+@kernel
+def _crossings(contour: Floats, y: Floats) -> tuple[Integers, Floats]:
+    """Give where lines of constant, rising `y` cross a closed contour: (n,) which line and x, both rising."""
+    above = np.searchsorted(y, contour[:, 1])  # (contour,) the first line that is not below each point
+    count = contour.shape[0]
+    first = np.zeros(y.size + 1, np.int64)
+    for i in range(count):
+        j = i + 1 if i + 1 < count else 0
+        for k in range(min(above[i], above[j]), max(above[i], above[j])):
+            first[k + 1] += 1
+    first = np.cumsum(first)
+    line, x, end = np.empty(first[-1], np.int64), np.empty(first[-1]), first.copy()
+    for i in range(count):
+        j = i + 1 if i + 1 < count else 0
+        for k in range(min(above[i], above[j]), max(above[i], above[j])):
+            share = (y[k] - contour[i, 1]) / (contour[j, 1] - contour[i, 1])
+            at, n = contour[i, 0] + share * (contour[j, 0] - contour[i, 0]), end[k]
+            line[n] = k
+            while n > first[k] and x[n - 1] > at:
+                x[n] = x[n - 1]
+                n -= 1
+            x[n] = at
+            end[k] += 1
+    return line, x
 
 
 @lru_cache(maxsize=1)
@@ -247,30 +271,9 @@ def _gauss() -> tuple[Floats, Floats]:
 
 
 def _scene_of(product: Product) -> _Scene:
-    profiles = product.profiles
-    on = (profiles.product == product.number) & np.isfinite(profiles.xyz_mm).all(axis=2) & profiles.seen
-    xyz, std = profiles.xyz_mm[on], profiles.height_std_mm[on]
-    if len(xyz) < _POINTS_MIN:
-        raise StageError(f"{len(xyz)} points lie on the product, {_POINTS_MIN} are the least")
-    lines = int(on.any(axis=1).sum())
-    if lines < _SLICES_MIN and product.calibration.rays is None:
-        low, high = xyz.min(axis=0), xyz.max(axis=0)
-        raise StageError(
-            f"{lines} of the lines lie on the product, and a volume needs {_SLICES_MIN}; its position is "
-            f"X = {low[0]:.1f} to {high[0]:.1f} mm, Y = {low[1]:.1f} to {high[1]:.1f} mm, up to "
-            f"Z = {high[2]:.1f} mm",
-            hint="project more lines, or dots; a cross hair shows only a position",
-        )
-    every_xy, place = xyz[:, :2], np.argwhere(on)
-    std = np.nan_to_num(std, nan=_FLAT_STD_MM)
-    sure = std <= _UNSURE * max(float(np.median(std)), _FLAT_STD_MM)
-    xyz, std = _pooled(xyz[sure], std[sure], place[sure])
-    near = _beside_neighbours(xyz)
-    xyz, std = xyz[near], std[near]
-    # the order of slices shall not matter, nor which of many points are left out
-    order = np.lexsort(xyz.T)
-    order = order[np.unique(np.linspace(0, len(xyz) - 1, min(len(xyz), _POINTS_MAX)).astype(np.int64))]
-    xyz, std = xyz[order], np.hypot(std[order], _FLAT_STD_MM)
+    # dots need not lie on several lines
+    lines_min = _SLICES_MIN if product.calibration.rays is None else 1
+    xyz, std, every_xy = _points_of(product.profiles, product.number, lines_min)
     outline, view = product.outline, product.view
     if outline is None and view is not None and len(view.cones):
         raise StageError(
@@ -294,6 +297,34 @@ def _scene_of(product: Product) -> _Scene:
     return _Scene(xyz, std, start, way, True, std_px)
 
 
+@lru_cache(maxsize=8)
+def _points_of(profiles: Profiles, number: int, lines_min: int) -> tuple[Floats, Floats, Floats]:
+    """Give a product's points that count, and their uncertainties, mm; and X and Y of all."""
+    on = (profiles.product == number) & np.isfinite(profiles.xyz_mm).all(axis=2) & profiles.seen
+    xyz, std = profiles.xyz_mm[on], profiles.height_std_mm[on]
+    if len(xyz) < _POINTS_MIN:
+        raise StageError(f"{len(xyz)} points lie on the product, {_POINTS_MIN} are the least")
+    lines = int(on.any(axis=1).sum())
+    if lines < lines_min:
+        low, high = xyz.min(axis=0), xyz.max(axis=0)
+        raise StageError(
+            f"{lines} of the lines lie on the product, and a volume needs {lines_min}; its position is "
+            f"X = {low[0]:.1f} to {high[0]:.1f} mm, Y = {low[1]:.1f} to {high[1]:.1f} mm, up to "
+            f"Z = {high[2]:.1f} mm",
+            hint="project more lines, or dots; a cross hair shows only a position",
+        )
+    every_xy, place = xyz[:, :2], np.argwhere(on)
+    std = np.nan_to_num(std, nan=_FLAT_STD_MM)
+    sure = std <= _UNSURE * max(float(np.median(std)), _FLAT_STD_MM)
+    xyz, std = _pooled(xyz[sure], std[sure], place[sure])
+    near = _beside_neighbours(xyz)
+    xyz, std = xyz[near], std[near]
+    # the order of slices shall not matter, nor which of many points are left out
+    order = np.lexsort(xyz.T)
+    order = order[np.unique(np.linspace(0, len(xyz) - 1, min(len(xyz), _POINTS_MAX)).astype(np.int64))]
+    return xyz[order], np.hypot(std[order], _FLAT_STD_MM), every_xy
+
+
 def _larger(scene: _Scene, product: Product, by_px: float) -> _Scene:
     """Give the scene with a larger outline."""
     assert product.outline is not None and product.view is not None
@@ -302,90 +333,117 @@ def _larger(scene: _Scene, product: Product, by_px: float) -> _Scene:
     return replace(scene, start_mm=start, way=way)
 
 
+@kernel
 def _beside_neighbours(xyz_mm: Floats) -> Flags:
     """Say which points lie near those around them: false light lies centimetres off.
 
     First near the median of their heights, for several may lie off together; then, the worst one first, near
     a quadratic through them, which flanks and rims follow to a fraction of the points' distance.
     """
-    kept = np.ones(len(xyz_mm), np.bool_)
-    if len(xyz_mm) < 2 * _AROUND:
+    count = xyz_mm.shape[0]
+    kept, fitted = np.ones(count, np.bool_), np.zeros(count, np.bool_)
+    if count < 2 * _AROUND:
         return kept
-    off, _, apart = _off_neighbours(xyz_mm)
-    kept = off <= max(_OFF_MAX * float(np.median(off)), _STEEPEST * float(np.median(apart)))
+    which, apart, off = np.empty((count, _AROUND), np.int64), np.empty(count), np.empty(count)
+    for i in range(count):
+        apart[i] = _nearest(xyz_mm, kept, i, which[i])
+        off[i] = abs(median_of(xyz_mm[which[i], 2]) - xyz_mm[i, 2])
+    kept = off <= max(_OFF_MAX * median_of(off), _STEEPEST * median_of(apart))
     while kept.sum() >= 2 * _AROUND:
-        some = np.flatnonzero(kept)
-        _, off, apart = _off_neighbours(xyz_mm[some])
-        if off.max() <= max(_OFF_MAX * float(np.median(off)), _OFF_SHARE * float(np.median(apart))):
+        worst = -1
+        for i in range(count):
+            if not kept[i]:
+                continue
+            gone = False
+            for j in which[i]:
+                gone |= not kept[j]
+            if gone:
+                apart[i] = _nearest(xyz_mm, kept, i, which[i])
+            if gone or not fitted[i]:
+                off[i], fitted[i] = _off_quadratic(xyz_mm, i, which[i], apart[i]), True
+            if worst < 0 or off[i] > off[worst]:
+                worst = i
+        if off[worst] <= max(_OFF_MAX * median_of(off[kept]), _OFF_SHARE * median_of(apart[kept])):
             break
-        kept[some[off.argmax()]] = False
+        kept[worst] = False
     return kept
 
 
 @kernel
-def _off_neighbours(xyz_mm: Floats) -> tuple[Floats, Floats, Floats]:
-    """Give how far each point lies off the median of the nearest ones, and off a quadratic through them, mm.
-
-    And the mean distance of those, mm.
-    """
-    count = xyz_mm.shape[0]
-    off_median, off_quadratic, distance = np.empty(count), np.empty(count), np.empty(count)
-    far, which = np.empty(_AROUND), np.empty(_AROUND, np.int64)
-    powers = np.empty(6)
-    for i in range(count):
-        far[:] = np.inf
-        for j in range(count):
-            apart = (xyz_mm[i, 0] - xyz_mm[j, 0]) ** 2 + (xyz_mm[i, 1] - xyz_mm[j, 1]) ** 2
-            if j == i or apart >= far[-1]:
-                continue
-            at = _AROUND - 1
-            while at > 0 and far[at - 1] > apart:
-                far[at], which[at] = far[at - 1], which[at - 1]
-                at -= 1
-            far[at], which[at] = apart, j
-        distance[i] = max(np.sqrt(far).mean(), 1e-6)
-        # points of two lines alone leave some of the quadratic open: a little is taken off all of it
-        normal, right = _SOFT * np.eye(6), np.zeros(6)
-        for n in range(_AROUND):
-            j = int(which[n])
-            x, y = (xyz_mm[j, 0] - xyz_mm[i, 0]) / distance[i], (xyz_mm[j, 1] - xyz_mm[i, 1]) / distance[i]
-            powers[0], powers[1], powers[2] = 1.0, x, y
-            powers[3], powers[4], powers[5] = x * x, x * y, y * y
-            for a in range(6):
-                right[a] += powers[a] * (xyz_mm[j, 2] - xyz_mm[i, 2])
-                for b in range(6):
-                    normal[a, b] += powers[a] * powers[b]
-        off_quadratic[i] = abs(np.linalg.solve(normal, right)[0])
-        off_median[i] = abs(np.median(xyz_mm[which, 2]) - xyz_mm[i, 2])
-    return off_median, off_quadratic, distance
+def _nearest(xyz_mm: Floats, kept: Flags, i: int, which: Integers) -> float:
+    """Find the kept points nearest to one, the nearest first; give their mean distance, mm."""
+    far = np.full(_AROUND, np.inf)
+    for j in range(xyz_mm.shape[0]):
+        apart = (xyz_mm[i, 0] - xyz_mm[j, 0]) ** 2 + (xyz_mm[i, 1] - xyz_mm[j, 1]) ** 2
+        if apart >= far[-1] or j == i or not kept[j]:
+            continue
+        at = _AROUND - 1
+        while at > 0 and far[at - 1] > apart:
+            far[at], which[at] = far[at - 1], which[at - 1]
+            at -= 1
+        far[at], which[at] = apart, j
+    return max(np.sqrt(far).mean(), 1e-6)
 
 
+@kernel
+def _off_quadratic(xyz_mm: Floats, i: int, which: Integers, apart_mm: float) -> float:
+    """Give how far a point lies off a quadratic through those around it, mm."""
+    # points of two lines alone leave some of the quadratic open: a little is taken off all of it
+    normal, right, powers = _SOFT * np.eye(6), np.zeros(6), np.ones(6)
+    for j in which:
+        x, y = (xyz_mm[j, 0] - xyz_mm[i, 0]) / apart_mm, (xyz_mm[j, 1] - xyz_mm[i, 1]) / apart_mm
+        powers[1], powers[2], powers[3], powers[4], powers[5] = x, y, x * x, x * y, y * y
+        for a in range(6):
+            right[a] += powers[a] * (xyz_mm[j, 2] - xyz_mm[i, 2])
+            for b in range(a + 1):
+                normal[a, b] += powers[a] * powers[b]
+    solve(normal, right)
+    return abs(right[0])
+
+
+@kernel
 def _pooled(xyz_mm: Floats, std_mm: Floats, place: Integers) -> tuple[Floats, Floats]:
     """Give one point for some that follow each other on a line, where there are more than can count.
 
-    `place` (n, 2) says which slice and which of its points each is. It is the middle of a parabola through
-    them: their mean would lie under a surface that bulges, by a thousandth of a potato's height, and all of
-    them do. Dots stand too far apart to be pooled.
+    `place` (n, 2) says which slice and which of its points each is, in this order. It is the middle of a
+    parabola through them: their mean would lie under a surface that bulges, by a thousandth of a potato's
+    height, and all of them do. Dots stand too far apart to be pooled.
     """
-    rows = min(math.ceil(len(xyz_mm) / _POINTS_MAX), _POOLED_ROWS_MAX)
+    rows = min(math.ceil(xyz_mm.shape[0] / _POINTS_MAX), _POOLED_ROWS_MAX)
     if rows == 1:
         return xyz_mm, std_mm
-    slice_, part = place[:, 0], place[:, 1] // rows
-    group = np.unique(slice_ * (int(part.max()) + 1) + part, return_inverse=True)[1]
-    weight = 1.0 / np.maximum(std_mm, _LEAST_STD_MM) ** 2
-    total = np.bincount(group, weight)
-    along = place[:, 1] - (np.bincount(group, weight * place[:, 1]) / total)[group]
-    second, third, fourth = (np.bincount(group, weight * along**n) / total for n in (2, 3, 4))
-    # of a parabola at the middle: its mean less what its bend adds, where there are points enough to tell
-    bend = fourth - second**2 - np.divide(third**2, second, out=np.zeros_like(third), where=second > 0.0)
-    told = (np.bincount(group) >= _BEND_POINTS_MIN) & (bend > 0.0)
-    found = []
-    for one in xyz_mm.T:
-        mean, first, square = (np.bincount(group, weight * one * along**n) / total for n in (0, 1, 2))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            bent = (square - mean * second - first * third / second) / bend
-        found.append(mean - np.where(told, bent * second, 0.0))
-    return np.column_stack(found), np.where(told, _BEND_STD, 1.0) / np.sqrt(total)
+    found, std, count, end = np.empty_like(xyz_mm), np.empty_like(std_mm), 0, 0
+    while end < std.size:
+        first, (slice_, part) = end, (place[end, 0], place[end, 1] // rows)
+        while end < std.size and place[end, 0] == slice_ and place[end, 1] // rows == part:
+            end += 1
+        total, middle = 0.0, 0.0
+        for k in range(first, end):
+            weight = 1.0 / max(std_mm[k], _LEAST_STD_MM) ** 2
+            total += weight
+            middle += weight * place[k, 1]
+        middle /= total
+        second, third, fourth = 0.0, 0.0, 0.0
+        mean, slope, square = np.zeros(3), np.zeros(3), np.zeros(3)
+        for k in range(first, end):
+            share, off = 1.0 / max(std_mm[k], _LEAST_STD_MM) ** 2 / total, place[k, 1] - middle
+            second += share * off**2
+            third += share * off**3
+            fourth += share * off**4
+            for n in range(3):
+                mean[n] += share * xyz_mm[k, n]
+                slope[n] += share * off * xyz_mm[k, n]
+                square[n] += share * off**2 * xyz_mm[k, n]
+        # of a parabola at the middle: its mean less what its bend adds, where there are points enough to tell
+        bend = fourth - second**2 - (third**2 / second if second > 0.0 else 0.0)
+        told = end - first >= _BEND_POINTS_MIN and bend > 0.0
+        for n in range(3):
+            found[count, n] = mean[n]
+            if told:
+                found[count, n] -= (square[n] - mean[n] * second - slope[n] * third / second) / bend * second
+        std[count] = (_BEND_STD if told else 1.0) / math.sqrt(total)
+        count += 1
+    return found[:count].copy(), std[:count].copy()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -398,16 +456,18 @@ class _Kriged:
     log_likelihood: float
     place: Floats
     factor: Floats
-    """Lower Cholesky factor of the covariance of what is observed."""
+    """Cholesky factor of the covariance of what is observed, in the lower triangle; above it is anything."""
     trend: Floats
     """(6,) mean of the quadratic's coefficients, by least squares: what is left is far smaller, and so is its
     rounding."""
     solved: Floats
-    prior: _Prior
+    prior: Floats
+    """(6,) the middle's x and y, half of the footprint's size, standard deviations of the quadratic's
+    coefficients and of the process, and its reach, mm."""
 
     def field(self, xy: Floats) -> Floats:
         """Expected u at places (n, 2)."""
-        return _expected(xy, self.place, self.solved, self.trend, self.prior.numbers())
+        return _expected(xy, self.place, self.solved, self.trend, self.prior)
 
     def heights_mm(self, xy: Floats) -> Floats:
         """Expected heights at places."""
@@ -422,39 +482,16 @@ class _Kriged:
         from scipy.linalg import solve_triangular
 
         some = nodes[::2]
-        across = self.prior.covariance(some[:, :2], self.place)
-        known = solve_triangular(self.factor, across.T, lower=True)
-        left = self.prior.covariance(some[:, :2], some[:, :2]) - known.T @ known
-        left[np.diag_indices_from(left)] += _ROUNDING * float(np.trace(left)) / len(left)
+        across = _covariance(some[:, :2], self.place, self.prior)
+        known = solve_triangular(self.factor, across.T, lower=True, check_finite=False)
+        left = _covariance(some[:, :2], some[:, :2], self.prior) - known.T @ known
+        own = np.einsum("ii->i", left)
+        own += _ROUNDING * float(own.mean())
         drawn = np.linalg.cholesky(left)
         noise = np.random.default_rng(0).standard_normal((drawn.shape[1], _DRAWS))
         fields = self.field(some[:, :2])[:, None] + drawn @ noise
         weight = some[:, 2] * nodes[:, 2].sum() / some[:, 2].sum()
         return float((weight @ _height(fields, self.rim_mm)).std(ddof=1))
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Prior:
-    """Covariance of u: a quadratic of unknown coefficients and a Matérn process."""
-
-    middle: Floats
-    half_mm: float
-    trend_std: float
-    std: float
-    reach_mm: float
-
-    def numbers(self) -> Floats:
-        """Give the middle's x and y, then the other fields in their order."""
-        return np.array([*self.middle, self.half_mm, self.trend_std, self.std, self.reach_mm])
-
-    def covariance(self, one: Floats, other: Floats) -> Floats:
-        """Give (n, m) between places."""
-        return _covariance(one, other, self.numbers())
-
-    def powers(self, xy: Floats) -> Floats:
-        """Give (n, 6) what the quadratic's coefficients are multiplied by."""
-        x, y = ((xy - self.middle) / self.half_mm).T
-        return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
 
 _FIRST = _REACHES[1], _SIZES[1]
@@ -463,36 +500,80 @@ _FIRST = _REACHES[1], _SIZES[1]
 
 def _krige(scene: _Scene, rim_mm: float, reach: float = _FIRST[0], size: float = _FIRST[1]) -> _Kriged:
     """Condition the field on points and border."""
-    from scipy.linalg import solve_triangular
+    from scipy.linalg.lapack import dpotrf, dpotrs
 
-    over = scene.xyz_mm[:, 2] - rim_mm
-    place, value = scene.xyz_mm[:, :2], over * np.abs(over)
-    noise = 2.0 * np.hypot(over, 2.0 * scene.std_mm) * scene.std_mm
     contour = scene.contour(rim_mm)
-    if scene.outlined:
-        border = contour[np.linspace(0, len(contour) - 1, _RIM_POINTS).astype(np.int64)]
-        place = np.concatenate([place, border])
-        value = np.concatenate([value, np.zeros(len(border))])
-        noise = np.concatenate([noise, np.full(len(border), float(np.median(noise)))])
-    middle, half = contour.mean(axis=0), 0.5 * float(np.ptp(contour, axis=0).max())
-    spread = float(np.sqrt((value**2).mean()))
-    flat = _Prior(middle, half, 0.0, 0.0, half)
-    design = flat.powers(place)
-    trend: Floats = np.asarray(np.linalg.solve(design.T @ design, design.T @ value), np.float64)
-    left = value - design @ trend
-    std = max(size * float(np.sqrt((left**2).mean())), 1e-3 * spread, 1e-6)
-    prior = replace(flat, trend_std=_TREND * std, std=std, reach_mm=reach * math.sqrt(abs(_area(contour))))
-    covariance = prior.covariance(place, place)
-    own = np.einsum("ii->i", covariance)
-    own += noise**2 + (1e-3 * std) ** 2
-    own *= 1.0 + 1e-10
-    factor: Floats = np.asarray(np.linalg.cholesky(covariance), np.float64)
-    half_way = solve_triangular(factor, left, lower=True, check_finite=False)
-    solved = solve_triangular(factor, half_way, lower=True, trans=1, check_finite=False)
+    border = contour[_every(len(contour)) if scene.outlined else slice(0)]
+    place, left, trend, prior, covariance, slope = _equations(
+        scene.xyz_mm, scene.std_mm, contour, border, rim_mm, reach, size
+    )
+    factor, failed = dpotrf(covariance.T, lower=1, clean=0, overwrite_a=1)
+    if failed:
+        raise np.linalg.LinAlgError("the covariance of what is observed is not positive definite")
+    solved = np.asarray(dpotrs(factor, left, lower=1)[0], np.float64)
     # of Z, not of u, the likelihood is compared over rims
-    slope = np.log(2.0 * np.hypot(over, 2.0 * scene.std_mm)).sum()
-    likelihood = -0.5 * float(half_way @ half_way) - float(np.log(np.diag(factor)).sum()) + float(slope)
+    likelihood = -0.5 * float(left @ solved) - float(np.log(np.diag(factor)).sum()) + slope
     return _Kriged(rim_mm, reach, size, likelihood, place, factor, trend, solved, prior)
+
+
+@lru_cache(maxsize=4)
+def _every(count: int) -> Integers:
+    """Give which of so many points of a contour stand for all of it."""
+    return np.linspace(0, count - 1, _RIM_POINTS).astype(np.int64)
+
+
+@float_kernel
+def _equations(
+    xyz_mm: Floats, std_mm: Floats, contour: Floats, border: Floats, rim_mm: float, reach: float, size: float
+) -> tuple[Floats, Floats, Floats, Floats, Floats, float]:
+    """Set up what is to be solved for a rim, and a process of that reach and size.
+
+    Returns
+    -------
+    tuple
+        (n, 2) places of points and border; (n,) what the quadratic leaves of u there; its (6,) coefficients;
+        the prior as in `_Kriged`; (n, n) the covariance of what is observed, written from the diagonal to the
+        right alone; and the sum of log |du/dZ|.
+    """
+    points, count = xyz_mm.shape[0], xyz_mm.shape[0] + border.shape[0]
+    place, value, noise, slope = np.empty((count, 2)), np.zeros(count), np.empty(count), 0.0
+    for k in range(points):
+        place[k, 0], place[k, 1] = xyz_mm[k, 0], xyz_mm[k, 1]
+        over = xyz_mm[k, 2] - rim_mm
+        steep = 2.0 * math.hypot(over, 2.0 * std_mm[k])
+        value[k], noise[k] = over * abs(over), steep * std_mm[k]
+        slope += math.log(steep)
+    place[points:] = border
+    noise[points:] = median_of(noise[:points])
+    prior, trend, normal = np.empty(6), np.zeros(6), np.zeros((6, 6))
+    low, high = contour[0].copy(), contour[0].copy()
+    middle, twice_area = np.zeros(2), 0.0
+    for k in range(contour.shape[0]):
+        ahead = contour[k + 1 if k + 1 < contour.shape[0] else 0]
+        twice_area += contour[k, 0] * ahead[1] - contour[k, 1] * ahead[0]
+        for n in range(2):
+            middle[n] += contour[k, n] / contour.shape[0]
+            low[n], high[n] = min(low[n], contour[k, n]), max(high[n], contour[k, n])
+    half_mm = 0.5 * max(high[0] - low[0], high[1] - low[1])
+    powers = np.ones((count, 6))
+    for k in range(count):
+        x, y = (place[k, 0] - middle[0]) / half_mm, (place[k, 1] - middle[1]) / half_mm
+        line = powers[k]
+        line[1], line[2], line[3], line[4], line[5] = x, y, x * x, x * y, y * y
+        for a in range(6):
+            trend[a] += line[a] * value[k]
+            for b in range(a + 1):
+                normal[a, b] += line[a] * line[b]
+    solve(normal, trend)
+    left = value - powers @ trend
+    std = max(size * math.sqrt((left**2).mean()), 1e-3 * math.sqrt((value**2).mean()), 1e-6)
+    prior[0], prior[1], prior[2] = middle[0], middle[1], half_mm
+    prior[3], prior[4], prior[5] = _TREND * std, std, reach * math.sqrt(0.5 * abs(twice_area))
+    covariance = np.empty((count, count))
+    _fill(place, place, prior, covariance, True)
+    for k in range(count):
+        covariance[k, k] = (covariance[k, k] + noise[k] ** 2 + (1e-3 * std) ** 2) * (1.0 + 1e-10)
+    return place, left, trend, prior, covariance, slope
 
 
 @inlined
@@ -515,8 +596,15 @@ def _matern(apart: float) -> float:
 
 @float_kernel
 def _covariance(one: Floats, other: Floats, prior: Floats) -> Floats:
-    """Give (n, m) the prior's covariance between places; `prior` as `_Prior.numbers` has it."""
+    """Give (n, m) the prior's covariance between places; `prior` as in `_Kriged`."""
     found = np.empty((one.shape[0], other.shape[0]))
+    _fill(one, other, prior, found, False)
+    return found
+
+
+@float_kernel
+def _fill(one: Floats, other: Floats, prior: Floats, found: Floats, half: bool) -> None:
+    """Write the covariance between places, from the diagonal on alone if it is asked for."""
     scale, trend, variance = math.sqrt(5.0) / prior[5], prior[3] ** 2, prior[4] ** 2
     # numbers of the prior are taken out of the loop: what is written might else be one of them
     middle_x, middle_y, half_mm = prior[0], prior[1], prior[2]
@@ -524,12 +612,11 @@ def _covariance(one: Floats, other: Floats, prior: Floats) -> Floats:
     for i in range(one.shape[0]):
         at_x, at_y, line = one[i, 0], one[i, 1], found[i]
         x, y = (at_x - middle_x) / half_mm**2, (at_y - middle_y) / half_mm**2
-        for j in range(x_mm.size):
+        for j in range(i if half else 0, x_mm.size):
             across, down = x * (x_mm[j] - middle_x), y * (y_mm[j] - middle_y)
             quadratic = 1.0 + across + down + across * across + across * down + down * down
             apart = scale * math.sqrt((at_x - x_mm[j]) ** 2 + (at_y - y_mm[j]) ** 2)
             line[j] = trend * quadratic + variance * _matern(apart)
-    return found
 
 
 @float_kernel
@@ -593,16 +680,19 @@ def _spread_mm3(scene: _Scene, tried: list[_Kriged]) -> float:
     return math.sqrt(float(shares @ (volumes - mean) ** 2 / shares.sum()))
 
 
+@kernel
 def _inside(contour: Floats, xy: Floats) -> Flags:
     """Say which places (n, 2) a closed contour encloses."""
-    x, y = xy.T[:, :, None]
-    ahead = np.roll(contour, -1, axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = contour[:, 0] + (y - contour[:, 1]) / (ahead[:, 1] - contour[:, 1]) * (
-            ahead[:, 0] - contour[:, 0]
-        )
-    crossed = (contour[:, 1] <= y) != (ahead[:, 1] <= y)
-    return np.asarray((crossed & (at > x)).sum(axis=1) % 2 == 1)
+    found = np.zeros(xy.shape[0], np.bool_)
+    for k in range(contour.shape[0]):
+        one, other = contour[k], contour[k + 1 if k + 1 < contour.shape[0] else 0]
+        if one[1] == other[1]:
+            continue
+        run = (other[0] - one[0]) / (other[1] - one[1])
+        for n in range(found.size):
+            crossed = (one[1] <= xy[n, 1]) != (other[1] <= xy[n, 1])
+            found[n] ^= crossed and one[0] + (xy[n, 1] - one[1]) * run > xy[n, 0]
+    return found
 
 
 def _height(field: Floats, rim_mm: float) -> Floats:
@@ -624,8 +714,8 @@ def _near(scene: _Scene, nodes: Floats) -> np.ndarray:
 
 
 def _area(contour: Floats) -> float:
-    x, y = contour.T
-    return 0.5 * float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
+    (x, y), ahead = contour.T, np.concatenate([contour[1:], contour[:1]])
+    return 0.5 * float(x @ ahead[:, 1] - y @ ahead[:, 0])
 
 
 def _outwards(contour: Floats) -> Floats:

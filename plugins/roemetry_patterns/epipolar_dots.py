@@ -38,10 +38,11 @@ from roemetry.records import (
 )
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
-from roemetry.records.light import at_height, meet
+from roemetry.records.light import at_height
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, Coder, StageOptions
 from roemetry_kernels.compiling import kernel
+from roemetry_kernels.rays import meet_rays
 
 _OFF_MAX = 5.0
 """Standard deviations that a dot may lie off the curve of its ray."""
@@ -165,7 +166,7 @@ def candidates(
     dot, ray = usable[pairs[:, 0]], pairs[:, 1]
     covariance = peaks.dots.covariance_px2[dot] + _MODEL_PX**2 * np.eye(2)
     own = rays.covariance.reshape(-1, 4, 4)[ray]
-    met = meet(view, flat[ray], xy[dot], covariance, own)
+    met = meet_rays(view, flat[ray], xy[dot], covariance, own)
     with np.errstate(invalid="ignore"):
         good = (met.misfit < _OFF_MAX) & (met.z_mm > reach_mm[0]) & (met.z_mm < reach_mm[1])
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -28,7 +28,7 @@ from pydantic import Field
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_peaks.gaussian import Gaussian, GaussianOptions
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA
 
@@ -87,12 +87,11 @@ class GridLines(Extractor[GridLinesOptions]):
         given = self.options
         one = Gaussian(GaussianOptions(threshold=given.threshold, width_max_px=given.width_max_px))
         frames = (frame, turned(frame))
-        along, down = _gradients(frame.pixels)
-        directed = along > _DIRECTED * down, np.rot90(down > _DIRECTED * along)
-        light = [
-            _light_of(found, on[found.row, np.rint(found.x_px).astype(np.int64)])
-            for found, on in zip(map(one.extract, frames), directed, strict=True)
-        ]
+        light = []
+        for each in frames:
+            peaks = one.extract(each)
+            along, down = _gradients(each.pixels, peaks)
+            light.append(_light_of(peaks, along > _DIRECTED * down))
         # where a line ends behind a crossing, too near for its direction to show, the second round knows it
         for _ in range(_TIMES - 1):
             found = self._both(one, frames, light)
@@ -140,14 +139,37 @@ def _numbers(peaks: Peaks, which: Flags) -> Floats:
     return np.column_stack([peaks.x_px, peaks.amplitude, peaks.width_px / FWHM_OF_SIGMA])[which]
 
 
-def _gradients(pixels: Any) -> tuple[Any, Any]:
-    """Give the squared change of the image along its rows and down its rows, averaged around each pixel."""
+def _gradients(pixels: Any, peaks: Peaks) -> tuple[Floats, Floats]:
+    """Give (peak,) the squared change of the image along its rows and down its rows, averaged around each."""
     import cv2
 
     image = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), _FINE_PX)
-    changes = (cv2.Sobel(image, cv2.CV_32F, *way, ksize=3) for way in ((1, 0), (0, 1)))
-    along, down = (cv2.boxFilter(one * one, -1, (_AROUND_PX, _AROUND_PX)) for one in changes)
+    changes = [cv2.Sobel(image, cv2.CV_32F, *way, ksize=3) for way in ((1, 0), (0, 1))]
+    along, down = _squares_around(*changes, peaks.row, np.rint(peaks.x_px).astype(np.int64))
     return along, down
+
+
+@float_kernel
+def _squares_around(along: Any, down: Any, row: Integers, column: Integers) -> tuple[Floats, Floats]:
+    """Give (n,) means of both images' squares in a square around places, mirrored at the border."""
+    (rows, columns), half = along.shape, _AROUND_PX // 2
+    found = np.empty((2, row.size))
+    for n in range(row.size):
+        one, other = np.float32(0.0), np.float32(0.0)
+        for i in range(row[n] - half, row[n] + half + 1):
+            y = abs(i) if i < rows else 2 * (rows - 1) - i
+            first, end = column[n] - half, column[n] + half + 1
+            if first >= 0 and end <= columns:
+                for x in range(np.uint64(first), np.uint64(end)):
+                    one += along[y, x] * along[y, x]
+                    other += down[y, x] * down[y, x]
+                continue
+            for j in range(first, end):
+                x = abs(j) if j < columns else 2 * (columns - 1) - j
+                one += along[y, x] * along[y, x]
+                other += down[y, x] * down[y, x]
+        found[0, n], found[1, n] = one, other
+    return found[0] / _AROUND_PX**2, found[1] / _AROUND_PX**2
 
 
 def _neighbour(row: Integers, x_px: Floats) -> Integers:
@@ -190,12 +212,13 @@ def _hidden(row: Integers, numbers: Floats, ahead: Integers) -> tuple[Integers, 
     own = (steep[np.arange(end.size), best] < _SLOPE_OFF) & (
         steep.argmin(axis=0)[best] == np.arange(end.size)
     )
-    rows, found = [np.empty(0, np.int64)], [np.empty((0, 3))]
-    for one, other in zip(end[own], begin[best[own]], strict=True):
-        share = np.arange(1, row[other] - row[one]) / (row[other] - row[one])
-        rows.append(np.arange(row[one] + 1, row[other]))
-        found.append(numbers[one] + share[:, None] * (numbers[other] - numbers[one]))
-    return np.concatenate(rows), np.concatenate(found)
+    one, other = end[own], begin[best[own]]
+    between = row[other] - row[one] - 1
+    which = np.repeat(np.arange(one.size), between)
+    step = np.arange(which.size) - np.repeat(np.cumsum(between) - between, between) + 1
+    share = step / (between[which] + 1)
+    way = numbers[other] - numbers[one]
+    return row[one[which]] + step, numbers[one[which]] + share[:, None] * way[which]
 
 
 def _slope(x_px: Floats, way: Integers, at: Integers) -> Floats:
@@ -258,8 +281,8 @@ def _without(one: Gaussian, frame: Frame, light: Floats) -> tuple[Peaks, Flags, 
     at = peaks.row, np.rint(peaks.x_px).astype(np.int64)
     beside = light[at]
     # what the other family has left shows where one of its lines ends, or was not followed
-    along, down = _gradients(left)
-    clean = along[at] > _OWN_DIRECTED * down[at]
+    along, down = _gradients(left, peaks)
+    clean = along > _OWN_DIRECTED * down
     # where both together are white, nobody knows how much of it is the other line's
     own = clean & (peaks.amplitude > _OWN_MIN * beside)
     if some_white:
@@ -277,5 +300,5 @@ def _without(one: Gaussian, frame: Frame, light: Floats) -> tuple[Peaks, Flags, 
         width_px=peaks.width_px[kept],
         flags=peaks.flags[kept],
     )
-    sure, alone = (along[at] > _DIRECTED * down[at])[kept], (beside < _ALONE * peaks.amplitude)[kept]
+    sure, alone = (along > _DIRECTED * down)[kept], (beside < _ALONE * peaks.amplitude)[kept]
     return left_over, sure & alone, sure & ~alone

@@ -9,6 +9,7 @@ calibration shows it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -17,11 +18,13 @@ import numpy as np
 
 from roemetry.errors import StageError
 from roemetry.records import Profiles, StripeMap
-from roemetry.records.arrays import Floats
+from roemetry.records.arrays import Floats, Integers
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.cones import generators, touching_planes
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
+from roemetry_kernels import lens
+from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_pinhole.pinhole_plane import (
     belt_pose,
     camera_matrix,
@@ -37,6 +40,8 @@ LIGHT, AXIS, ANGLES = "light_mm", "axis_slope", "half_angle_rad"
 camera's frame; (circle,) half angles, rad, increasing."""
 _STEP_PX = 0.01
 """Of the numerical derivative of the height by the place along the row."""
+_STEP_END = 1e-8
+"""Over the focal length: Newton's next step would be some 1e-15, which the derivative needs."""
 _MOTION_STEPS = (1e-2, 1e-5, 1e-5, 1e-5)
 """Of shift (px), roll (rad), zoom and tilt (rad): all some 0.01 px."""
 _REST_DEGREE = 4
@@ -101,9 +106,7 @@ class PinholeCircles(Triangulator[StageOptions]):
         view = view_of(calibration.parameters, calibration.image_size)
         stripe, row = np.nonzero(np.isfinite(stripes.x_px))
         xy = np.column_stack([stripes.x_px[stripe, row], row])
-        points = view.lift(xy, stripe)
-        beside = view.lift(xy + np.array([_STEP_PX, 0.0]), stripe)
-        rise = np.abs(beside[:, 2] - points[:, 2]) / _STEP_PX
+        points, rise = lift_circles(xy, stripe, lens.camera_of(view), view.T_belt_camera, view.cones)
         shape = stripes.x_px.shape
         xyz_mm, height_std_mm = np.full((*shape, 3), np.nan), np.full(shape, np.nan)
         xyz_mm[stripe, row] = points
@@ -152,3 +155,59 @@ def _turned(parameters: Mapping[str, Floats], motion: Floats) -> dict[str, Float
         LIGHT: rotation @ parameters[LIGHT],
         AXIS: axis[:2] / axis[2],
     }
+
+
+@float_kernel
+def lift_circles(
+    xy_px: Floats, stripe: Integers, camera: Floats, pose: Floats, cones: Floats
+) -> tuple[Floats, Floats]:
+    """Give (n, 3) where rays of image places (n, 2) meet halves (n,) of cones, and how Z rises there, mm/px.
+
+    That is what `View.lift` gives, and its derivative along the row; `camera` is as of `lens.camera_of`.
+    """
+    points, rise = np.empty((xy_px.shape[0], 3)), np.empty(xy_px.shape[0])
+    around = lens.lens_from(camera, 4)
+    for n in range(xy_px.shape[0]):
+        cone, y = cones[stripe[n]], (xy_px[n, 1] - camera[3]) / camera[1]
+        beside = _met((xy_px[n, 0] + _STEP_PX - camera[2]) / camera[0], y, around, pose, cone)
+        points[n] = _met((xy_px[n, 0] - camera[2]) / camera[0], y, around, pose, cone)
+        rise[n] = abs(beside[2] - points[n, 2]) / _STEP_PX
+    return points, rise
+
+
+@inlined
+def _met(
+    bent_x: float, bent_y: float, around: lens.Lens, pose: Floats, cone: Floats
+) -> tuple[float, float, float]:
+    """Give where a ray meets a half of a cone, as `roemetry.records.cones.meet_cones` does; NaN: nowhere."""
+    x, y, xx, xy, yy, good = lens.undistorted_place(bent_x, bent_y, bent_x, bent_y, around, _STEP_END)
+    if not (good and xx * yy - xy * xy > 0.0 and xx + yy > 0.0):
+        return np.nan, np.nan, np.nan
+    length = math.sqrt(x * x + y * y + 1.0)
+    along_way, along, over, far, lean = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(3):
+        way, away = (pose[k, 0] * x + pose[k, 1] * y + pose[k, 2]) / length, pose[k, 3] - cone[k]
+        along_way += cone[3 + k] * way
+        along += cone[3 + k] * away
+        over += away * way
+        far += away * away
+        lean += cone[3 + k] * pose[k, 0]
+    across_way, across = -lean * along_way, -lean * along
+    for k in range(3):
+        way, away = (pose[k, 0] * x + pose[k, 1] * y + pose[k, 2]) / length, pose[k, 3] - cone[k]
+        across_way += pose[k, 0] * way
+        across += pose[k, 0] * away
+    square = math.cos(cone[6]) ** 2
+    a, b, c = along_way**2 - square, along_way * along - square * over, along**2 - square * far
+    fall = (pose[2, 0] * x + pose[2, 1] * y + pose[2, 2]) / length
+    best, height, root = np.nan, np.inf, math.sqrt(max(b * b - a * c, 0.0))
+    for t in ((-b + root) / a, (-b - root) / a):
+        lit, mine = along + t * along_way > 0.0, cone[6] * (across + t * across_way) > 0.0
+        if lit and mine and b * b >= a * c and abs(pose[2, 3] + t * fall) < height:
+            best, height = t, abs(pose[2, 3] + t * fall)
+    best /= length
+    return (
+        pose[0, 3] + best * (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2]),
+        pose[1, 3] + best * (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2]),
+        pose[2, 3] + best * (pose[2, 0] * x + pose[2, 1] * y + pose[2, 2]),
+    )

@@ -25,9 +25,10 @@ from roemetry.errors import CalibrationError, StageError
 from roemetry.records import Profiles, Rays, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Alignment, Calibration
-from roemetry.records.light import at_height, meet
+from roemetry.records.light import at_height
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, StageOptions, Triangulator
+from roemetry_kernels.rays import meet_rays
 from roemetry_pinhole.bundle import Adjusted
 from roemetry_pinhole.dot_lattice import nearest_point
 from roemetry_pinhole.geometry import ON_BELT, Geometry, Unknowns, distort
@@ -219,7 +220,8 @@ def view_of(
         camera[:2] = camera[:2] * (1.0 + motion[2])
     # a plane through points of every ray, those that are not known at the others' middle
     points = np.concatenate([_at_height(lines, 0.0), _at_height(lines, _UP_MM)], axis=1)
-    middle = np.nanmean(points, axis=1, keepdims=True)
+    there = np.isfinite(points).all(axis=2, keepdims=True)
+    middle = points.sum(axis=1, keepdims=True, where=there) / np.maximum(there.sum(axis=1, keepdims=True), 1)
     off = np.nan_to_num(points - middle)
     normal = np.linalg.eigh(off.transpose(0, 2, 1) @ off)[1][:, :, 0]
     normal *= np.where(normal[:, :1] >= 0.0, 1.0, -1.0)
@@ -278,13 +280,13 @@ class PinholeDots(Triangulator[StageOptions]):
         at = dots.line[stripe, row]
         xy_px = np.column_stack([stripes.x_px[stripe, row], dots.y_px[stripe, row]])
         own = dots.covariance_px2[stripe, row]
-        met = meet(view, lines[stripe, at], xy_px, own, rays.covariance[stripe, at])
+        met = meet_rays(view, lines[stripe, at], xy_px, own, rays.covariance[stripe, at])
         shape = stripes.x_px.shape
         xyz_mm, height_std_mm = np.full((*shape, 3), np.nan), np.full(shape, np.nan)
-        xyz_mm[stripe, row] = at_height(lines[stripe, at], met.z_mm)
-        height_std_mm[stripe, row] = met.z_std_mm
-        known = np.isfinite(xyz_mm).all(axis=2)
-        xyz_mm[~known] = np.nan
+        points = at_height(lines[stripe, at], met.z_mm)
+        points[~np.isfinite(points).all(axis=1)] = np.nan
+        xyz_mm[stripe, row], height_std_mm[stripe, row] = points, met.z_std_mm
+        known = np.isfinite(xyz_mm[..., 2])
         return Profiles(
             xyz_mm=xyz_mm,
             product=np.where(known, stripes.product, -1).astype(np.int16),

@@ -288,12 +288,9 @@ class PinholeGrid(Triangulator[StageOptions]):
         longest = max(rows, columns)
 
         def joined(one: Any, two: Any, nothing: float) -> Any:
-            padded = [
-                np.pad(part, [(0, 0), (0, longest - part.shape[1])] + [(0, 0)] * (part.ndim - 2),
-                       constant_values=nothing)
-                for part in (one, two)
-            ]  # fmt: skip
-            return np.concatenate(padded)
+            whole = np.full((len(one) + len(two), longest, *one.shape[2:]), nothing, one.dtype)
+            whole[: len(one), : one.shape[1]], whole[len(one) :, : two.shape[1]] = one, two
+            return whole
 
         xyz_mm = joined(lifted[0][0], lifted[1][0], np.nan)
         known = np.isfinite(xyz_mm[..., 0])

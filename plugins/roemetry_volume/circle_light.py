@@ -13,6 +13,7 @@ for long and ends there.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,8 @@ from numpy.typing import NDArray
 from roemetry.records.arrays import Flags, Floats
 from roemetry.records.cones import half_on_belt
 from roemetry.records.view import View
+from roemetry_kernels.compiling import kernel
+from roemetry_kernels.image_levels import median_of, plain_layout
 from roemetry_volume.footprint import inside_by
 
 _SMOOTH_PX = 1.0
@@ -61,7 +64,10 @@ class CircleLight(NamedTuple):
 
     def near(self, contour: Floats, reach_px: float) -> CircleLight:
         """Give what of it lies so near to a contour."""
-        belt, product = (np.abs(inside_by(contour, one)) < reach_px for one in (self.belt, self.product))
+        low, high = contour.min(axis=0) - reach_px, contour.max(axis=0) + reach_px
+        belt, product = (((one > low) & (one < high)).all(axis=1) for one in (self.belt, self.product))
+        belt[belt] = np.abs(inside_by(contour, self.belt[belt])) < reach_px
+        product[product] = np.abs(inside_by(contour, self.product[product])) < reach_px
         belt &= ~self._thin(contour)
         return self._replace(
             belt=self.belt[belt], belt_ridge=self.belt_ridge[belt], product=self.product[product]
@@ -109,7 +115,7 @@ def circle_light(pixels: NDArray[Any], view: View) -> CircleLight:
         nothing = np.zeros(height.shape, np.bool_)
         return CircleLight(np.empty((0, 2)), np.empty(0, np.int32), np.empty((0, 2)), nothing, nothing)
     # parts of circles are hidden, and noise lies there: the upper half is light
-    usual = float(np.median(on_belt[on_belt >= np.median(on_belt)]))
+    usual = median_of(on_belt[on_belt >= median_of(on_belt)])
     noise = _NOISE * _SMOOTHED * _noise_of(pixels)
     belt = (away_px <= _ON_PX) & (height > max(_BELT_SHARE * usual, noise))
     ridge = height > max(_PRODUCT_SHARE * usual, noise)
@@ -130,27 +136,52 @@ def _ridges(pixels: NDArray[Any]) -> NDArray[np.float32]:
     # a median takes single bright pixels away, and leaves lines
     level = cv2.medianBlur(np.ascontiguousarray(pixels).astype(np.float32), 3)
     level = cv2.GaussianBlur(level, (0, 0), _SMOOTH_PX)
-    height = np.zeros(level.shape, np.float32)
-    for axis in (0, 1):
-        size = level.shape[axis]
-        wide = np.pad(level, [(_WIDE_PX, _WIDE_PX) if axis == k else (0, 0) for k in (0, 1)], mode="edge")
+    wide = cv2.copyMakeBorder(level, _WIDE_PX, _WIDE_PX, _WIDE_PX, _WIDE_PX, cv2.BORDER_REPLICATE)
+    return np.asarray(ridges_of(wide))
 
-        def beside(step: int, wide: NDArray[np.float32] = wide, axis: int = axis, size: int = size) -> Any:
-            return np.take(wide, range(_WIDE_PX + step, _WIDE_PX + step + size), axis)
 
-        top = np.logical_and.reduce([level >= beside(step) for step in (-2, -1, 1, 2)])
-        rise = level - np.maximum(beside(-_WIDE_PX), beside(_WIDE_PX))
-        height = np.maximum(height, np.where(top, rise, np.float32(0.0)))
-    return np.asarray(height)
+@kernel
+def ridges_of(wide: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Give what `_ridges` does of smoothed light, which has a border of `_WIDE_PX` all around."""
+    rows, columns = wide.shape[0] - 2 * _WIDE_PX, wide.shape[1] - 2 * _WIDE_PX
+    height = np.zeros((rows, columns), np.float32)
+    for row in range(rows):
+        for column in range(columns):
+            i, j = row + _WIDE_PX, column + _WIDE_PX
+            at = wide[i, j]
+            if at >= max(max(wide[i - 1, j], wide[i + 1, j]), max(wide[i - 2, j], wide[i + 2, j])):
+                height[row, column] = max(at - max(wide[i - _WIDE_PX, j], wide[i + _WIDE_PX, j]), 0.0)
+            if at >= max(max(wide[i, j - 1], wide[i, j + 1]), max(wide[i, j - 2], wide[i, j + 2])):
+                rise = at - max(wide[i, j - _WIDE_PX], wide[i, j + _WIDE_PX])
+                height[row, column] = max(height[row, column], rise)
+    return height
 
 
 def _noise_of(pixels: NDArray[Any]) -> float:
     """Give the noise of a pixel, grey levels: light varies smoothly over three pixels nearly everywhere."""
-    level = pixels.astype(np.float32)
-    bend = level[:, :-2] - 2.0 * level[:, 1:-1] + level[:, 2:]
-    return 1.4826 * float(np.median(np.abs(bend))) / math.sqrt(6.0)
+    return 1.4826 * float(usual_bend(plain_layout(pixels))) / math.sqrt(6.0)
 
 
+@kernel
+def usual_bend(pixels: NDArray[Any]) -> float:
+    """Give the median size of second differences along the rows of (row, column) grey levels."""
+    bends = np.empty((pixels.shape[0], pixels.shape[1] - 2), np.int64)
+    for row in range(bends.shape[0]):
+        for column in range(bends.shape[1]):
+            left, right = np.int64(pixels[row, column]), np.int64(pixels[row, column + 2])
+            bends[row, column] = abs(left - 2 * np.int64(pixels[row, column + 1]) + right)
+    count = np.bincount(bends.ravel())
+    upto, lower = 0, -1
+    for size in range(count.size):  # of an even number the middle two's mean
+        upto += count[size]
+        if lower < 0 and 2 * upto >= bends.size:
+            lower = size
+        if 2 * upto > bends.size:
+            return 0.5 * (lower + size)
+    return 0.0
+
+
+@lru_cache(maxsize=2)
 def _from_belt_px(view: View, size: tuple[int, ...]) -> NDArray[np.float32]:
     """Give (row, column) distance from the nearest circle of the belt, px."""
     import cv2
@@ -160,7 +191,9 @@ def _from_belt_px(view: View, size: tuple[int, ...]) -> NDArray[np.float32]:
         place = view.project(half_on_belt(cone, view.T_belt_camera[:3, 0]))
         place = place[np.isfinite(place).all(axis=1)]
         cv2.polylines(away, [np.rint(place).astype(np.int32)], False, 0, 1)
-    return np.asarray(cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+    found = np.asarray(cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+    found.flags.writeable = False
+    return found
 
 
 def _long(ridges: Flags) -> Flags:
@@ -174,4 +207,5 @@ def _long(ridges: Flags) -> Flags:
 
 
 def _places(where: Flags) -> Floats:
-    return np.asarray(np.argwhere(where)[:, ::-1], np.float64)
+    row, column = np.divmod(np.flatnonzero(where), where.shape[1])
+    return np.column_stack([column, row]).astype(np.float64)

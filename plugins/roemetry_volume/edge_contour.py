@@ -50,7 +50,7 @@ from roemetry_volume.outline_features import features_of
 _LEAST_CONTRAST = 3.0
 """Times the belt's scatter that a product is brighter or darker: three standard deviations."""
 _USUAL_SPACING_PX = 40.0  # where the coder does not say where stripes lie on the belt
-_SAMPLED = 5  # every fifth row and column tell the belt's middle and scatter
+_SAMPLED = 5  # every fifth row and column tell the belt's middle and scatter, and how far off a product is
 
 _BELT_SMOOTH_PX = 5.0
 """The belt's image is smoothed against noise by less than light and texture vary over."""
@@ -359,7 +359,10 @@ def belt_fit(terms: Floats, bright: NDArray[np.float32], product: Flags) -> Floa
 def _contrast(plane: NDArray[np.float32], product: Flags) -> float:
     if not product.any() or product.all():
         return float(plane.std())
-    inside, outside = plane[product], plane[~product]
+    few, where = plane[::_SAMPLED, ::_SAMPLED], product[::_SAMPLED, ::_SAMPLED]
+    inside, outside = few[where], few[~where]
+    if not inside.size or not outside.size:
+        return float(plane.std())
     return abs(float(np.median(inside) - np.median(outside))) / (float(outside.std()) + 1e-6)
 
 

@@ -166,7 +166,7 @@ def image_motion(
     grid
         Whether stripes lie across the image, too.
     """
-    log_plain = logarithm(plain if plain.ndim == 2 else plain.mean(axis=2))
+    log_plain = logarithm(plain)
     free = _beside_stripes(laser, grid=grid) & ~product & _belt_like(log_plain)
     weighted, share = halved_where(plain_layout(laser), free)
     bright = _halved(log_plain)
@@ -198,12 +198,19 @@ def image_motion(
 
 
 def logarithm(pixels: NDArray[Any]) -> Singles:
-    """Give log(pixels + 1)."""
+    """Give (row, column) log(pixels + 1); of colours, of their mean."""
     if pixels.dtype != np.uint8:
-        return np.log(pixels.astype(np.float32) + np.float32(1.0))
+        level = pixels if pixels.ndim == 2 else pixels.mean(axis=2)
+        return np.log(level.astype(np.float32) + np.float32(1.0))
     import cv2
 
-    return np.asarray(cv2.LUT(np.ascontiguousarray(pixels), _LOGARITHMS))
+    if pixels.ndim == 2:
+        return np.asarray(cv2.LUT(np.ascontiguousarray(pixels), _LOGARITHMS))
+    total = pixels[..., 0].astype(np.uint16)
+    for k in range(1, pixels.shape[2]):
+        total += pixels[..., k]
+    levels = (np.arange(255 * pixels.shape[2] + 1) / pixels.shape[2]).astype(np.float32)
+    return np.asarray(np.log(levels + np.float32(1.0))[total])
 
 
 _LOGARITHMS = np.log(np.arange(256, dtype=np.float32) + np.float32(1.0))
@@ -330,19 +337,50 @@ class _Compared(NamedTuple):
 
 
 def _compared(dim: _Seen, bright: Singles, motion: Floats, every: float) -> _Compared:
-    a = _sampled(bright, dim, motion, every)
+    return _of(_sampled(bright[None], dim, motion, every)[0], dim)
+
+
+def _of(a: Singles, dim: _Seen) -> _Compared:
     return _Compared(a, dim.value, float(a @ dim.value) / max(float(a @ a), 1e-12))
 
 
-def _sampled(image: Singles, dim: _Seen, motion: Floats, every: float) -> Singles:
-    import cv2
-
+def _sampled(images: Singles, dim: _Seen, motion: Floats, every: float) -> Singles:
+    """Give (image, place) what each of some images has at the places, once they have moved."""
+    if not motion.any():
+        return np.stack([image.ravel()[dim.place] for image in images])
     rows, columns = dim.size
-    if motion.any():
-        sampling = _matrix(motion / np.array([every, every, 1.0, 1.0]), rows, columns)
-        how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        image = cv2.warpAffine(image, sampling, (columns, rows), flags=how, borderMode=cv2.BORDER_REPLICATE)
-    return image.ravel()[dim.place]
+    matrix = _matrix(motion / np.array([every, every, 1.0, 1.0]), rows, columns).astype(np.float32)
+    # in the order in which OpenCV's warp rounds: what is the same along a row first
+    of_row = matrix[:, 1:2] * np.arange(rows, dtype=np.float32) + matrix[:, 2:]
+    return np.asarray(sampled_at(images, dim.place, matrix[:, 0], of_row))
+
+
+@float_kernel
+def sampled_at(images: Singles, place: Integers, of_column: Singles, of_row: Singles) -> Singles:
+    """Give (image, place) of images (image, row, column), linear between pixels and repeated at the border.
+
+    `place` counts flattened pixels, in their order. It is looked at the column times `of_column` (2,) plus
+    what `of_row` (2, row) has for its row: x and y, px.
+    """
+    rows, columns = images.shape[1:]
+    found = np.empty((images.shape[0], place.size), np.float32)
+    row, first = 0, 0
+    for k in range(place.size):
+        while place[k] >= first + columns:
+            row, first = row + 1, first + columns
+        column = np.float32(place[k] - first)
+        x, y = of_column[0] * column + of_row[0, row], of_column[1] * column + of_row[1, row]
+        left, top = np.floor(x), np.floor(y)
+        share, low = x - left, y - top
+        # unsigned, which no index from the end can be
+        j, i = np.uint64(min(max(left, 0), columns - 1)), np.uint64(min(max(top, 0), rows - 1))
+        right = np.uint64(min(max(left + 1, 0), columns - 1))
+        under = np.uint64(min(max(top + 1, 0), rows - 1))
+        for n in range(np.uint64(images.shape[0])):
+            above = images[n, i, j] + share * (images[n, i, right] - images[n, i, j])
+            below = images[n, under, j] + share * (images[n, under, right] - images[n, under, j])
+            found[n, k] = above + low * (below - above)
+    return found
 
 
 def _fitted(
@@ -354,13 +392,18 @@ def _fitted(
     if dim.place.size < _ALIKE * _CLEAR**2:
         return None
     steep = [cv2.Sobel(bright, cv2.CV_32F, *way, ksize=3) for way in ((1, 0), (0, 1))]
+    images = np.stack([bright, *steep])
     reach = every * dim.size[1] / 2.0
     for turn in range(rounds):
-        one = _compared(dim, bright, motion, every)
         if turn < 8:  # later steps change the slopes by little
-            slopes, slope_gain = [_sampled(way, dim, motion, every) for way in steep], one.gain / 8.0
+            a, *slopes = _sampled(images, dim, motion, every)
+            one = _of(a, dim)
+            slope_gain = one.gain / 8.0
+        else:
+            one = _compared(dim, bright, motion, every)
         normal, right, std = step_sums(one, *slopes, slope_gain, dim.x, dim.y, every)
-        if one.gain <= 0.0 or np.linalg.cond(normal) > 1e14:
+        least, *_, most = np.linalg.eigvalsh(normal)
+        if one.gain <= 0.0 or not least > 1e-14 * most:
             return None
         step = np.linalg.solve(normal, right)
         motion = motion + step
@@ -386,25 +429,35 @@ def step_sums(
     x, y, every
         See `_Seen`, and how wide a pixel of the level is, px.
     """
-    normal, right, slope, squares = np.zeros((4, 4)), np.zeros(4), np.empty(4), 0.0
+    gain, squares = one.gain, 0.0
     for k in range(x.size):
-        left = one.b[k] - one.gain * one.a[k]
+        left = one.b[k] - gain * one.a[k]
         squares += left * left
     std = math.sqrt(squares / x.size)
+    # each sum a number of its own: so several places are taken at once
+    xx = xy = yy = xt = yt = tt = xg = yg = tg = gg = of_x = of_y = of_turn = of_growth = 0.0
     for k in range(x.size):
-        left = one.b[k] - one.gain * one.a[k]
+        left = one.b[k] - gain * one.a[k]
         weight = min(1.0, _ODD * std / max(abs(left), 1e-9))
         right_way, down_way = slope_gain * along[k], slope_gain * down[k]
-        slope[0], slope[1] = right_way / every, down_way / every
-        slope[2], slope[3] = down_way * x[k] - right_way * y[k], right_way * x[k] + down_way * y[k]
-        for i in range(4):
-            right[i] += weight * slope[i] * left
-            for j in range(i + 1):
-                normal[i, j] += weight * slope[i] * slope[j]
-    for i in range(4):
-        for j in range(i):
-            normal[j, i] = normal[i, j]
-    return normal, right, std
+        turn, growth = down_way * x[k] - right_way * y[k], right_way * x[k] + down_way * y[k]
+        across, below = right_way / every, down_way / every
+        xx += weight * across * across
+        xy += weight * across * below
+        yy += weight * below * below
+        xt += weight * across * turn
+        yt += weight * below * turn
+        tt += weight * turn * turn
+        xg += weight * across * growth
+        yg += weight * below * growth
+        tg += weight * turn * growth
+        gg += weight * growth * growth
+        of_x += weight * across * left
+        of_y += weight * below * left
+        of_turn += weight * turn * left
+        of_growth += weight * growth * left
+    normal = np.array([[xx, xy, xt, xg], [xy, yy, yt, yg], [xt, yt, tt, tg], [xg, yg, tg, gg]])
+    return normal, np.array([of_x, of_y, of_turn, of_growth]), std
 
 
 @float_kernel

@@ -65,7 +65,7 @@ def features_of(xy_px: Floats, pixels: NDArray[Any], redrawn: Sequence[Floats] =
     cv2.fillPoly(mask, [(corners - (left, top)).reshape(-1, 1, 2)], 1)
     inside = box[mask.astype(np.bool_)].astype(np.float64)
     if inside.size:
-        grey = inside.mean(axis=1) if inside.ndim == 2 else inside
+        grey = inside @ np.full(inside.shape[1], 1.0 / inside.shape[1]) if inside.ndim == 2 else inside
         found |= {"grey_mean": float(grey.mean()), "grey_std": float(grey.std())}
         if inside.ndim == 2:
             found |= {

@@ -18,7 +18,7 @@ from roemetry.records.arrays import Checker, Flags, Floats, Labels
 from roemetry.records.display import Shown
 from roemetry.records.view import View
 
-_ROUNDS = 3
+ROUNDS = 3
 """Gauss–Newton steps along a ray: each divides the error by its image's bend, some hundred."""
 
 
@@ -133,7 +133,7 @@ def meet(
     noise_xy = 0.5 * (noise[:, 0, 1] + noise[:, 1, 0])
     x_px, y_px = xy_px.T
     z = _nearest(view, lines, xy_px)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         at, by_place = view.project_slopes(at_height(lines, z))
         slope_x, slope_y = (by[0] * lines[:, 2] + by[1] * lines[:, 3] + by[2] for by in by_place)
         xx, xy, yy = noise_xx, noise_xy, noise_yy

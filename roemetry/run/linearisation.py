@@ -151,12 +151,8 @@ class _Run:
 
 def _parts(products: tuple[ProductTrace, ...], scene: Scene, chain: Chain, drawn: Sampler) -> Iterator[Part]:
     """Give every part of every cause whose size is stated."""
-    stripes, calibration, outlines, light = (
-        scene.stripes,
-        scene.calibration,
-        scene.outlines,
-        scene.penetration,
-    )
+    calibration, outlines, light = scene.calibration, scene.outlines, scene.penetration
+    stripes = scene.stripes if isinstance(chain.triangulator, Placing) else _on_products(scene.stripes)
     offset_mm = 0.0 if light is None else light.offset_mm
 
     modes, held = _modes(scene, chain)
@@ -178,8 +174,7 @@ def _parts(products: tuple[ProductTrace, ...], scene: Scene, chain: Chain, drawn
             lambda sign: drawn.products(stripes, calibration, outlines, offset_mm + sign * std_mm),
         )
     if PEAKS in drawn.causes:
-        for _ in range(_NOISE_PATTERNS):
-            unit = drawn.patterns()  # always: what follows is drawn from the same numbers
+        for unit in drawn.first_patterns(_NOISE_PATTERNS):  # all: what follows is drawn from the same numbers
             yield (
                 PEAKS,
                 1.0,
@@ -187,6 +182,15 @@ def _parts(products: tuple[ProductTrace, ...], scene: Scene, chain: Chain, drawn
                     shifted(stripes, drawn.as_noise(unit), sign), calibration, outlines, offset_mm
                 ),
             )
+
+
+def _on_products(stripes: StripeMap) -> StripeMap:
+    """Leave of a map what lies on products: the runs look at nothing else."""
+    across = None if stripes.across is None else _on_products(stripes.across)
+    on = stripes.product > 0
+    x_px, product = np.where(on, stripes.x_px, np.nan), np.where(on, stripes.product, NOTHING)
+    product = product.astype(stripes.product.dtype)
+    return replace(stripes, x_px=x_px, product=product, seen=stripes.seen & on, across=across)
 
 
 def _unmoved(scene: Scene, drawn: Sampler) -> Mapping[int, Product]:

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -457,7 +458,7 @@ class Sampler:
         """Draw what `as_noise` makes noise of."""
         return [self.unit_noise(std_px.shape) for std_px in self._std_px]
 
-    def as_noise(self, units: list[Floats]) -> tuple[Floats, ...]:
+    def as_noise(self, units: Sequence[Floats]) -> tuple[Floats, ...]:
         """Give errors as `noise_px` does, of such of standard deviation 1."""
         found = []
         for unit, std_px, bridges in zip(units, self._std_px, self._bridges, strict=True):
@@ -467,11 +468,42 @@ class Sampler:
             found.append(noise)
         return tuple(found)
 
+    def first_patterns(self, count: int) -> Iterator[Sequence[Floats]]:
+        """Draw `patterns` so many times, of a generator that has just begun with seed 0.
+
+        They are the same for all scenes of one shape: small ones are drawn once.
+        """
+        shapes, reach = tuple(one.shape for one in self._std_px), self._scene.stripes.correlation_rows
+        if count * sum(rows * columns for rows, columns in shapes) > _KEPT_MAX:
+            for _ in range(count):
+                yield self.patterns()
+            return
+        patterns, state = _first_patterns(shapes, reach, count)
+        self._rng.bit_generator.state = state
+        yield from patterns
+
     def unit_noise(self, shape: tuple[int, ...]) -> Floats:
         """(stripe, row) errors of standard deviation 1, correlated along the stripe."""
-        noise = self._rng.standard_normal(shape)
-        reach = self._scene.stripes.correlation_rows
-        return _smoothed(noise, reach) if reach > 0 else noise
+        return _unit_noise(self._rng, shape, self._scene.stripes.correlation_rows)
+
+
+_KEPT_MAX = 1_000_000
+"""Numbers of patterns that are kept for the next frame: 8 MB."""
+
+
+@lru_cache(maxsize=2)
+def _first_patterns(
+    shapes: tuple[tuple[int, ...], ...], reach_rows: float, count: int
+) -> tuple[list[list[Floats]], Mapping[str, Any]]:
+    """Give what `Sampler.first_patterns` does, and the state that it leaves the generator in."""
+    rng = np.random.default_rng(0)
+    patterns = [[_unit_noise(rng, shape, reach_rows) for shape in shapes] for _ in range(count)]
+    return patterns, rng.bit_generator.state
+
+
+def _unit_noise(rng: np.random.Generator, shape: tuple[int, ...], reach_rows: float) -> Floats:
+    noise = rng.standard_normal(shape)
+    return _smoothed(noise, reach_rows) if reach_rows > 0 else noise
 
 
 def shifted(stripes: StripeMap, noise_px: tuple[Floats, ...], sign: float = 1.0) -> StripeMap:

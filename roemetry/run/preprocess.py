@@ -68,16 +68,6 @@ def prepare(
     second_channel
         That of a second family of light, as `channel`; None: there is one family.
     """
-    if second_channel is not None:
-        options: dict[str, Any] = {"turn_deg": turn_deg, "subtract": subtract, "bit_depth": bit_depth}
-        first = prepare(acquisition, channel=channel, sensor=sensor, **options)
-        if _colourless(acquisition):
-            raise DataError(
-                f"{acquisition.id}: the laser image has no colours, of which `second_channel` is one",
-                hint="give a colour image, or leave second_channel out",
-            )
-        second = prepare(acquisition, channel=second_channel, **options)
-        return replace(first, second=second.pixels)
     laser = acquisition.frame("laser")
     if laser is None:
         raise DataError(f"{acquisition.id}: there is no laser image")
@@ -87,6 +77,23 @@ def prepare(
     check_lines(laser)
     if acquisition.before is not None:
         check_repeats(laser, acquisition.before)
+    found = _ready(acquisition, laser, channel, contrast, turn_deg, subtract, bits, sensor)
+    if second_channel is None:
+        return found
+    if laser.pixels.ndim == 2:
+        raise DataError(
+            f"{acquisition.id}: the laser image has no colours, of which `second_channel` is one",
+            hint="give a colour image, or leave second_channel out",
+        )
+    second = _ready(acquisition, laser, second_channel, "none", turn_deg, subtract, bits, sensor)
+    return replace(found, second=second.pixels)
+
+
+def _ready(
+    acquisition: Acquisition, laser: Frame, channel: str, contrast: str, turn_deg: int, subtract: str,
+    bits: int, sensor: Sensor | None,
+) -> Frame:  # fmt: skip
+    """Give a channel of the laser frame, turned and without what the dark one shows; see `prepare`."""
     pixels, headroom = _one_channel(laser, channel, contrast, turn_deg, bits)
     if subtract == "dark":
         dark = acquisition.frame("dark")
@@ -118,11 +125,6 @@ def prepare_plain(acquisition: Acquisition, *, turn_deg: int) -> Frame | None:
     if plain is None:
         return None
     return replace(plain, pixels=_turned(plain.pixels, turn_deg), turn_deg=(plain.turn_deg + turn_deg) % 360)
-
-
-def _colourless(acquisition: Acquisition) -> bool:
-    laser = acquisition.frame("laser")
-    return laser is not None and laser.pixels.ndim == 2
 
 
 _USUAL_BITS = (10, 12, 14)  # of sensors that write 16-bit files

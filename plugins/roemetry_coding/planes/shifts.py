@@ -153,6 +153,8 @@ def runs_of(
     first, last_line = np.full(runs, lines, np.int64), np.full(runs, -1, np.int64)
     key = np.empty(2 * of.shape[0], np.int64)
     keys = 0
+    # runs touch the same ones from line to line: what the last line said is not written down again
+    above, left = np.full(runs, -1, np.int64), np.full(runs, -1, np.int64)
     for e in range(lines):
         last = -1
         for p in range(start[e], start[e + 1]):
@@ -161,10 +163,12 @@ def runs_of(
                 continue
             first[f], last_line[f] = min(first[f], e), max(last_line[f], e)
             alone[f, _OUT] += own[offset[p + 1] - 1]
-            if q >= 0 and of[q] >= 0 and of[q] != f:
+            if q >= 0 and of[q] >= 0 and of[q] != f and of[q] != above[f]:
+                above[f] = of[q]
                 key[keys] = of[q] * runs + f
                 keys += 1
-            if last >= 0 and of[last] != f:
+            if last >= 0 and of[last] != f and of[last] != left[f]:
+                left[f] = of[last]
                 key[keys] = of[last] * runs + f
                 keys += 1
             last = p

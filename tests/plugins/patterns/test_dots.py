@@ -9,7 +9,10 @@ from roemetry import Recipe
 from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, StageError
 from roemetry.records import Frame, Sensor
+from roemetry.records.light import at_height, meet
+from roemetry.records.view import View
 from roemetry.testing.dots import DotRig
+from roemetry_kernels.rays import meet_rays
 from roemetry_patterns.dot_centres import DotCentres
 from roemetry_patterns.dot_surface import _beside_neighbours
 from roemetry_patterns.epipolar_dots import EpipolarDots
@@ -120,3 +123,19 @@ def test_false_light_is_told_by_those_around_it(rng: np.random.Generator) -> Non
     # points of two lines leave the quadratic open: nothing is left out for that
     lines = sound[(np.abs(x) < 6.0) & (x != 0.0)]
     assert _beside_neighbours(lines).all()
+
+
+def test_compiled_rays_are_those_of_the_record(rng: np.random.Generator) -> None:
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = 320.0
+    matrix = np.array([[1600.0, 0.0, 319.5], [0.0, 1590.0, 239.5], [0.0, 0.0, 1.0]])
+    view = View((480, 640), matrix, pose, np.empty((0, 4)), distortion=np.array([0.05, -0.1, 1e-3, -1e-3]))
+    lines = rng.uniform([-40.0, -30.0, 0.2, -0.3], [40.0, 30.0, 0.8, 0.3], (50, 4))
+    xy_px = view.project(at_height(lines, rng.uniform(0.0, 40.0, 50))) + rng.normal(0.0, 0.1, (50, 2))
+    own = np.tile(np.diag([1e-4, 1e-4, 1e-8, 1e-8]), (50, 1, 1)) * rng.uniform(0.5, 2.0, (50, 1, 1))
+    noise = np.tile([[0.02, 0.006], [0.006, 0.01]], (50, 1, 1))
+    noise[3] = np.nan
+    lines[5, 0] = np.nan
+    given = view, lines, xy_px, noise, own
+    for one, other in zip(meet_rays(*given), meet(*given), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11)
