@@ -28,10 +28,11 @@ from roemetry_coding.alignment import (
 from roemetry_coding.belt_lines import PEAKS_MIN, fitted, model_of
 
 _LIGHT = Light("circles", "the calibrated ones", "image's top and bottom")
-_HALVES_RMS_PX = 0.07
-"""Of the halves' mean distances from where the motion takes them: at most 0.06 of twelve potatoes, sound,
-moved by up to 3 px, noisy, dim, out of focus or JPEG; 0.07 to 0.24 where one column is lost, and volumes are
-up to 4 % off."""
+_HALVES_PX = 0.045
+"""Median of the halves' distances from where the motion takes them: at most 0.016 of twelve potatoes, sound,
+noisy, dim, out of focus, JPEG or moved by 1 px, and 0.032 moved by 3 px; 0.054 to 0.113 where one column is
+lost, which shifts all halves, and volumes are up to 4 % off. A mean would be that of one half of which a product
+leaves little."""
 _HALVES_MIN = 4
 """Halves on the belt that tell it: as many as a motion has numbers."""
 
@@ -66,10 +67,10 @@ class BeltCircles(Aligner[AlignerOptions]):
 def _refuse_halves_apart(half_px: Floats) -> None:
     """Refuse a frame by the mean distances (half,) from where the motion takes halves, px; NaN: not known."""
     known_px = half_px[np.isfinite(half_px)]
-    rms_px = float(np.sqrt(np.mean(known_px**2))) if known_px.size >= _HALVES_MIN else 0.0
-    if rms_px > _HALVES_RMS_PX:
+    apart_px = float(np.median(np.abs(known_px))) if known_px.size >= _HALVES_MIN else 0.0
+    if apart_px > _HALVES_PX:
         raise StageError(
-            f"halves of circles on the belt lie {rms_px:.2f} px (rms) beside the calibrated ones, which no "
-            "motion of the camera explains: columns of the image are lost, or it is another rig",
+            f"halves of circles on the belt lie {apart_px:.2f} px (median) beside the calibrated ones, which "
+            "no motion of the camera explains: columns of the image are lost, or it is another rig",
             hint="look at the image; take it again, or calibrate again",
         )

@@ -23,38 +23,15 @@ from typing import ClassVar
 import numpy as np
 
 from roemetry.errors import StageError
-from roemetry.records import Estimate, Product, Profiles, Reason, Shares, Surface, Volume
+from roemetry.records import Estimate, Product, Reason, Shares, Surface, Volume
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
 from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.lens import sight_lines
 from roemetry_kernels.robust_fit import solve
+from roemetry_patterns.surface_points import points_of
 
-_POINTS_MAX = 150
-"""Points that count: the time grows with their cube, and 250 bring a volume no nearer to the truth."""
-_POOLED_ROWS_MAX = 12
-"""Rows of a line of which one point counts: over so many a line on a radius of 100 px is a parabola."""
-_BEND_POINTS_MIN, _BEND_STD = 5, 1.5
-"""Points on a line that tell its bend, and how much less sure its middle is than the points' mean."""
-_LEAST_STD_MM = 1e-3
-"""Of a point, beside its neighbours."""
-_POINTS_MIN = 8
-"""Six numbers of the quadratic are fitted."""
-_UNSURE = 6.0
-"""Of the median uncertainty, that a point's may be: dots that an edge has cut lie beside the surface."""
-_AROUND = 12
-"""Points around one, by which false ones are told: twice the numbers of a quadratic."""
-_SOFT = 1e-3
-"""Of one point's weight, with which a quadratic's numbers are held near zero."""
-_OFF_MAX = 9.0
-"""Of the median distance from theirs, that a point may lie off."""
-_STEEPEST = 2.0
-"""Of the distance to those around, that a point may lie off the median of their heights at least: rims rise
-by the whole of it, false light lies twice and three times as far off."""
-_OFF_SHARE = 0.6
-"""Of the distance to those around, that a point may lie off a quadratic at least: at rims good ones lie up to
-5 mm off at a distance of 9 mm, false light 7 to 28 mm."""
 _SLICES_MIN = 3
 """Lines that show something of the product: a cross hair has two."""
 _RIM_POINTS = 60
@@ -76,8 +53,6 @@ _REACHES = (0.35, 0.7)
 """Of the root of the footprint's area, that the process can reach."""
 _SIZES = (1.0, 3.0)
 """Of what the quadratic leaves, that the process can be."""
-_FLAT_STD_MM = 0.05
-"""Beside the points' own uncertainty: skin and print."""
 _TREND = 10.0
 """Of the process's size, that the quadratic's coefficients may be off: hardly bound, and not so free that the
 covariance cannot be inverted to many digits."""
@@ -273,7 +248,7 @@ def _gauss() -> tuple[Floats, Floats]:
 def _scene_of(product: Product) -> _Scene:
     # dots need not lie on several lines
     lines_min = _SLICES_MIN if product.calibration.rays is None else 1
-    xyz, std, every_xy = _points_of(product.profiles, product.number, lines_min)
+    xyz, std, every_xy = points_of(product.profiles, product.number, lines_min)
     outline, view = product.outline, product.view
     if outline is None and view is not None and len(view.cones):
         raise StageError(
@@ -297,153 +272,12 @@ def _scene_of(product: Product) -> _Scene:
     return _Scene(xyz, std, start, way, True, std_px)
 
 
-@lru_cache(maxsize=8)
-def _points_of(profiles: Profiles, number: int, lines_min: int) -> tuple[Floats, Floats, Floats]:
-    """Give a product's points that count, and their uncertainties, mm; and X and Y of all."""
-    on = (profiles.product == number) & np.isfinite(profiles.xyz_mm).all(axis=2) & profiles.seen
-    xyz, std = profiles.xyz_mm[on], profiles.height_std_mm[on]
-    if len(xyz) < _POINTS_MIN:
-        raise StageError(f"{len(xyz)} points lie on the product, {_POINTS_MIN} are the least")
-    lines = int(on.any(axis=1).sum())
-    if lines < lines_min:
-        low, high = xyz.min(axis=0), xyz.max(axis=0)
-        raise StageError(
-            f"{lines} of the lines lie on the product, and a volume needs {lines_min}; its position is "
-            f"X = {low[0]:.1f} to {high[0]:.1f} mm, Y = {low[1]:.1f} to {high[1]:.1f} mm, up to "
-            f"Z = {high[2]:.1f} mm",
-            hint="project more lines, or dots; a cross hair shows only a position",
-        )
-    every_xy, place = xyz[:, :2], np.argwhere(on)
-    std = np.nan_to_num(std, nan=_FLAT_STD_MM)
-    sure = std <= _UNSURE * max(float(np.median(std)), _FLAT_STD_MM)
-    xyz, std = _pooled(xyz[sure], std[sure], place[sure])
-    near = _beside_neighbours(xyz)
-    xyz, std = xyz[near], std[near]
-    # the order of slices shall not matter, nor which of many points are left out
-    order = np.lexsort(xyz.T)
-    order = order[np.unique(np.linspace(0, len(xyz) - 1, min(len(xyz), _POINTS_MAX)).astype(np.int64))]
-    return xyz[order], np.hypot(std[order], _FLAT_STD_MM), every_xy
-
-
 def _larger(scene: _Scene, product: Product, by_px: float) -> _Scene:
     """Give the scene with a larger outline."""
     assert product.outline is not None and product.view is not None
     contour = product.outline.xy_px
     start, way = product.view.rays(contour + by_px * _outwards(contour))
     return replace(scene, start_mm=start, way=way)
-
-
-@kernel
-def _beside_neighbours(xyz_mm: Floats) -> Flags:
-    """Say which points lie near those around them: false light lies centimetres off.
-
-    First near the median of their heights, for several may lie off together; then, the worst one first, near
-    a quadratic through them, which flanks and rims follow to a fraction of the points' distance.
-    """
-    count = xyz_mm.shape[0]
-    kept, fitted = np.ones(count, np.bool_), np.zeros(count, np.bool_)
-    if count < 2 * _AROUND:
-        return kept
-    which, apart, off = np.empty((count, _AROUND), np.int64), np.empty(count), np.empty(count)
-    for i in range(count):
-        apart[i] = _nearest(xyz_mm, kept, i, which[i])
-        off[i] = abs(median_of(xyz_mm[which[i], 2]) - xyz_mm[i, 2])
-    kept = off <= max(_OFF_MAX * median_of(off), _STEEPEST * median_of(apart))
-    while kept.sum() >= 2 * _AROUND:
-        worst = -1
-        for i in range(count):
-            if not kept[i]:
-                continue
-            gone = False
-            for j in which[i]:
-                gone |= not kept[j]
-            if gone:
-                apart[i] = _nearest(xyz_mm, kept, i, which[i])
-            if gone or not fitted[i]:
-                off[i], fitted[i] = _off_quadratic(xyz_mm, i, which[i], apart[i]), True
-            if worst < 0 or off[i] > off[worst]:
-                worst = i
-        if off[worst] <= max(_OFF_MAX * median_of(off[kept]), _OFF_SHARE * median_of(apart[kept])):
-            break
-        kept[worst] = False
-    return kept
-
-
-@kernel
-def _nearest(xyz_mm: Floats, kept: Flags, i: int, which: Integers) -> float:
-    """Find the kept points nearest to one, the nearest first; give their mean distance, mm."""
-    far = np.full(_AROUND, np.inf)
-    for j in range(xyz_mm.shape[0]):
-        apart = (xyz_mm[i, 0] - xyz_mm[j, 0]) ** 2 + (xyz_mm[i, 1] - xyz_mm[j, 1]) ** 2
-        if apart >= far[-1] or j == i or not kept[j]:
-            continue
-        at = _AROUND - 1
-        while at > 0 and far[at - 1] > apart:
-            far[at], which[at] = far[at - 1], which[at - 1]
-            at -= 1
-        far[at], which[at] = apart, j
-    return max(np.sqrt(far).mean(), 1e-6)
-
-
-@kernel
-def _off_quadratic(xyz_mm: Floats, i: int, which: Integers, apart_mm: float) -> float:
-    """Give how far a point lies off a quadratic through those around it, mm."""
-    # points of two lines alone leave some of the quadratic open: a little is taken off all of it
-    normal, right, powers = _SOFT * np.eye(6), np.zeros(6), np.ones(6)
-    for j in which:
-        x, y = (xyz_mm[j, 0] - xyz_mm[i, 0]) / apart_mm, (xyz_mm[j, 1] - xyz_mm[i, 1]) / apart_mm
-        powers[1], powers[2], powers[3], powers[4], powers[5] = x, y, x * x, x * y, y * y
-        for a in range(6):
-            right[a] += powers[a] * (xyz_mm[j, 2] - xyz_mm[i, 2])
-            for b in range(a + 1):
-                normal[a, b] += powers[a] * powers[b]
-    solve(normal, right)
-    return abs(right[0])
-
-
-@kernel
-def _pooled(xyz_mm: Floats, std_mm: Floats, place: Integers) -> tuple[Floats, Floats]:
-    """Give one point for some that follow each other on a line, where there are more than can count.
-
-    `place` (n, 2) says which slice and which of its points each is, in this order. It is the middle of a
-    parabola through them: their mean would lie under a surface that bulges, by a thousandth of a potato's
-    height, and all of them do. Dots stand too far apart to be pooled.
-    """
-    rows = min(math.ceil(xyz_mm.shape[0] / _POINTS_MAX), _POOLED_ROWS_MAX)
-    if rows == 1:
-        return xyz_mm, std_mm
-    found, std, count, end = np.empty_like(xyz_mm), np.empty_like(std_mm), 0, 0
-    while end < std.size:
-        first, (slice_, part) = end, (place[end, 0], place[end, 1] // rows)
-        while end < std.size and place[end, 0] == slice_ and place[end, 1] // rows == part:
-            end += 1
-        total, middle = 0.0, 0.0
-        for k in range(first, end):
-            weight = 1.0 / max(std_mm[k], _LEAST_STD_MM) ** 2
-            total += weight
-            middle += weight * place[k, 1]
-        middle /= total
-        second, third, fourth = 0.0, 0.0, 0.0
-        mean, slope, square = np.zeros(3), np.zeros(3), np.zeros(3)
-        for k in range(first, end):
-            share, off = 1.0 / max(std_mm[k], _LEAST_STD_MM) ** 2 / total, place[k, 1] - middle
-            second += share * off**2
-            third += share * off**3
-            fourth += share * off**4
-            for n in range(3):
-                mean[n] += share * xyz_mm[k, n]
-                slope[n] += share * off * xyz_mm[k, n]
-                square[n] += share * off**2 * xyz_mm[k, n]
-        # of a parabola at the middle: its mean less what its bend adds, where there are points enough to tell
-        bend = fourth - second**2 - (third**2 / second if second > 0.0 else 0.0)
-        told = end - first >= _BEND_POINTS_MIN and bend > 0.0
-        for n in range(3):
-            found[count, n] = mean[n]
-            if told:
-                found[count, n] -= (square[n] - mean[n] * second - slope[n] * third / second) / bend * second
-        std[count] = (_BEND_STD if told else 1.0) / math.sqrt(total)
-        count += 1
-    return found[:count].copy(), std[:count].copy()
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -116,7 +116,7 @@ def test_a_lost_column_is_refused_and_no_motion_of_the_camera() -> None:
 def test_circles_without_an_outline_have_no_volume() -> None:
     (product, *_) = Recipe.load(CIRCLES, sets=["sinks=[]", "stages.outliner=null"]).run()
     assert product.volume is None
-    assert any("no outline was found" in reason.text for reason in product.absent.values())
+    assert any("circles need an outline" in reason.text for reason in product.absent.values())
 
 
 def test_a_file_for_other_programs_holds_no_planes_of_circles(tmp_path: Path) -> None:

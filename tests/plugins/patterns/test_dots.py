@@ -14,8 +14,8 @@ from roemetry.records.view import View
 from roemetry.testing.dots import DotRig
 from roemetry_kernels.rays import meet_rays
 from roemetry_patterns.dot_centres import DotCentres
-from roemetry_patterns.dot_surface import _beside_neighbours
 from roemetry_patterns.epipolar_dots import EpipolarDots
+from roemetry_patterns.surface_points import beside_neighbours
 from roemetry_pinhole.dot_lattice import followed, on_belt
 from roemetry_pinhole.dot_rays import _between_neighbours
 
@@ -115,14 +115,14 @@ def test_false_light_is_told_by_those_around_it(rng: np.random.Generator) -> Non
     place = np.column_stack([x, y]) + rng.uniform(-0.5, 0.5, (x.size, 2))
     height = np.sqrt(np.maximum(24.0**2 - (place**2).sum(axis=1), 0.0))
     sound = np.column_stack([place, height])
-    assert _beside_neighbours(sound).all()
+    assert beside_neighbours(sound).all()
     false = sound.copy()
     false[24, 2] += 7.0  # in the middle
     false[[2, 3], 2] -= 25.0  # two together at the rim
-    assert np.array_equal(np.flatnonzero(~_beside_neighbours(false)), [2, 3, 24])
+    assert np.array_equal(np.flatnonzero(~beside_neighbours(false)), [2, 3, 24])
     # points of two lines leave the quadratic open: nothing is left out for that
     lines = sound[(np.abs(x) < 6.0) & (x != 0.0)]
-    assert _beside_neighbours(lines).all()
+    assert beside_neighbours(lines).all()
 
 
 def test_compiled_rays_are_those_of_the_record(rng: np.random.Generator) -> None:

@@ -18,7 +18,7 @@ from roemetry.records import AMBIGUOUS, Sensor
 from roemetry.records.calibration import Calibration
 from roemetry.testing.scenes import GridRig, frame_of
 from roemetry_coding.grid import GridPlanes, _asked_again, _Families, _followed, _with_thin_parts
-from roemetry_patterns.dot_surface import _pooled
+from roemetry_patterns.surface_points import pooled
 from roemetry_peaks.grid_lines import GridLines
 from roemetry_pinhole.grid import ACROSS, _turning, turned_parameters
 from roemetry_pinhole.pinhole_plane import points_of, view_of
@@ -212,10 +212,10 @@ def test_points_of_a_line_are_pooled_and_dots_are_not(rng: np.random.Generator) 
     row = np.arange(600)
     line = np.column_stack([np.zeros(600), 0.3 * row, 20.0 + 0.05 * rng.standard_normal(600)])
     place = np.column_stack([np.zeros(600, np.int64), row])
-    mean, std = _pooled(line, np.full(600, 0.05), place)
+    mean, std = pooled(line, np.full(600, 0.05), place)
     assert len(mean) == 150 and np.allclose(std, 0.05 / 2.0)
     assert np.allclose(mean[:, 2], line[:, 2].reshape(150, 4).mean(axis=1))
-    apart, _ = _pooled(line, np.full(600, 0.05), place * np.array([1, 16]))
+    apart, _ = pooled(line, np.full(600, 0.05), place * np.array([1, 16]))
     assert len(apart) == 600
 
 
@@ -225,12 +225,12 @@ def test_a_pooled_point_lies_on_a_surface_that_bulges() -> None:
     line = np.column_stack([0.1 * along, along, 20.0 - along**2 / 50.0])
     std = np.full(1800, 0.05)
     place = np.column_stack([row // 60, row % 60])
-    found, stated = _pooled(line, std, place)
+    found, stated = pooled(line, std, place)
     assert len(found) == 150
     assert np.abs(found[:, 2] - 20.0 + found[:, 1] ** 2 / 50.0).max() < 1e-9  # mm; means lie 0.02 mm below
     assert np.allclose(stated, 1.5 * 0.05 / np.sqrt(12.0))
     # where single points are of different weight, too
-    found, _ = _pooled(line, std * (1.0 + row % 7), place)
+    found, _ = pooled(line, std * (1.0 + row % 7), place)
     assert np.abs(found[:, 2] - 20.0 + found[:, 1] ** 2 / 50.0).max() < 1e-6
 
 
