@@ -31,8 +31,8 @@ _LIGHT = Light("circles", "the calibrated ones", "image's top and bottom")
 _HALVES_PX = 0.045
 """Median of the halves' distances from where the motion takes them: at most 0.016 of twelve potatoes, sound,
 noisy, dim, out of focus, JPEG or moved by 1 px, and 0.032 moved by 3 px; 0.054 to 0.113 where one column is
-lost, which shifts all halves, and volumes are up to 4 % off. A mean would be that of one half of which a product
-leaves little."""
+lost, which shifts all halves, and volumes are up to 4 % off. A mean would be that of one half, of which a
+product leaves little."""
 _HALVES_MIN = 4
 """Halves on the belt that tell it: as many as a motion has numbers."""
 
