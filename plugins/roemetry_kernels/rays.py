@@ -43,8 +43,13 @@ def _met(
         if unknown:
             noise_xx, noise_xy, noise_yy = 1.0, 0.0, 1.0
         # the height at which the ray passes nearest to the line of sight
-        bent_x, bent_y = (xy_px[n, 0] - camera[2]) / camera[0], (xy_px[n, 1] - camera[3]) / camera[1]
-        x, y, xx, xy, yy, good = lens.undistorted_place(bent_x, bent_y, bent_x, bent_y, around, _STEP_END)
+        distorted_x, distorted_y = (
+            (xy_px[n, 0] - camera[2]) / camera[0],
+            (xy_px[n, 1] - camera[3]) / camera[1],
+        )
+        x, y, xx, xy, yy, good = lens.undistorted_place(
+            distorted_x, distorted_y, distorted_x, distorted_y, around, _STEP_END
+        )
         if not (good and xx * yy - xy * xy > 0.0 and xx + yy > 0.0):
             found[:, n] = np.nan
             continue
