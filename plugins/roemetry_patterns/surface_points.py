@@ -48,7 +48,25 @@ _FLAT_STD_MM = 0.05
 
 @lru_cache(maxsize=8)
 def points_of(profiles: Profiles, number: int, lines_min: int) -> tuple[Floats, Floats, Floats]:
-    """Give a product's points that count, and their uncertainties, mm; and X and Y of all."""
+    """Give a product's points that count, their standard uncertainties, and where all of them lie.
+
+    Parameters
+    ----------
+    profiles, number
+        Points of the belt frame, and which product's are asked for.
+    lines_min
+        Lines that must show something of it.
+
+    Returns
+    -------
+    xyz_mm, height_std_mm, every_xy_mm
+        (point, 3), (point,), and (seen point, 2) without any left out.
+
+    Raises
+    ------
+    StageError
+        Too few points, or lines, lie on the product.
+    """
     on = (profiles.product == number) & np.isfinite(profiles.xyz_mm).all(axis=2) & profiles.seen
     xyz, std = profiles.xyz_mm[on], profiles.height_std_mm[on]
     if len(xyz) < _POINTS_MIN:
