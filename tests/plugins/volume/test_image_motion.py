@@ -62,6 +62,17 @@ def test_a_laser_image_that_lost_lines_is_seen(axis: int, lost: int, rng: np.ran
     assert abs(found.missed[2 * axis] - middle) <= laser.shape[axis] // 4
 
 
+def test_the_rim_of_a_shadow_in_plain_light_is_no_texture_of_the_belt(rng: np.random.Generator) -> None:
+    """Rings around a product that are up to 10 % darker or brighter, in plain light alone."""
+    laser, plain = images(rng, ambient_grey=7.0)
+    row, column = np.mgrid[0:ROWS, 0:COLUMNS]
+    away_px = np.hypot(row - 200.0, column - 320.0)
+    rings = 1.0 - 0.1 * np.cos(0.28 * away_px) * (away_px < 130.0)
+    shadowed = np.clip(np.rint(plain * rings), 0, 255).astype(np.uint8)
+    found = image_motion(laser, shadowed, NOWHERE)
+    assert found is not None and found.missed is None
+
+
 def test_without_ambient_light_nothing_is_said(rng: np.random.Generator) -> None:
     laser, plain = images(rng, ambient_grey=0.0)
     assert image_motion(laser, plain, NOWHERE) is None

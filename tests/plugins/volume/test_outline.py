@@ -101,6 +101,16 @@ def test_an_image_out_of_focus_tells_its_blur_and_the_outline_stays(
     assert abs(off_px) < 0.6 * abs(as_sharp_px), (off_px, as_sharp_px)
 
 
+@pytest.mark.parametrize("blur_px", [2.5, 2.9])
+def test_a_round_body_far_out_of_focus_keeps_its_outline(rng: np.random.Generator, blur_px: float) -> None:
+    """A blur of 1 px explains its rim hardly better than that of a sharp lens; larger ones do."""
+    plain = plain_image(rng, shadow=False).pixels.astype(np.float64)
+    blurred = cv2.GaussianBlur(plain, (0, 0), blur_px) + rng.normal(0.0, 0.5, plain.shape)
+    image = Frame(np.clip(np.rint(blurred), 0, 255).astype(np.uint8), role="plain")
+    (found,) = EdgeContour().outline(LASER, image, stripes_on(), None)
+    assert abs(float(distance(found.xy_px).mean())) < 0.6
+
+
 def test_its_uncertainty_comes_from_the_image(rng: np.random.Generator) -> None:
     """Dark, beside a shadow, or in four times the noise without one: a figure each, which holds the truth."""
     noisy = plain_image(rng, shadow=False)
