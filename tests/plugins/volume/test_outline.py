@@ -305,6 +305,21 @@ def test_a_body_that_goes_on_far_beyond_its_stripes_refuses_its_product(
         assert found.fault is None
 
 
+@pytest.mark.parametrize("beyond_px", [0.0, 60.0])
+def test_stripes_of_a_product_far_beyond_the_body_refuse_it(
+    rng: np.random.Generator, beyond_px: float
+) -> None:
+    """A block of another frame: three stripes show product where the plain image shows belt."""
+    x, y, a, b = ELLIPSE
+    (found,) = EdgeContour().outline(
+        LASER, plain_image(rng, ((x - 0.5 * beyond_px, y, a - 0.5 * beyond_px, b),)), stripes_on(), None
+    )
+    if beyond_px:
+        assert found.fault.code == "images-contradict" and "less of the product" in found.fault.text
+    else:
+        assert found.fault is None
+
+
 def test_an_outline_that_is_shifted_is_left_out(rng: np.random.Generator) -> None:
     """The belt moved by 5 px between the images: the stripes alone are right."""
     x, y, a, b = ELLIPSE
