@@ -8,11 +8,13 @@ by no more than their distance times a steep slope, and a candidate costs its mi
 neighbour, the least that any of the neighbour's candidates costs beside it (min-sum on the pattern's graph;
 Kschischang, Frey, Loeliger 2001).
 
-A label is given where the next best one costs more by what makes it improbable; else the dot is ambiguous.
+A label is given where the next best one costs more by what makes it improbable, and above the belt only if
+two neighbours in the pattern confirm its height; else the dot is ambiguous.
 If too few dots lie on any ray, or too few rays are seen, the pattern is not the calibrated one, and the
 frame is refused.
 
-It fails where false light falls onto the curve of a ray whose own dot is hidden: its height is then any.
+It fails where false light falls onto the curve of a ray whose own dot is hidden, at a height that its
+neighbours confirm.
 """
 
 from __future__ import annotations
@@ -64,6 +66,9 @@ _BROKEN = 9.0
 """The most that a neighbour can cost: where it is over an edge, or has no candidate, nothing is known."""
 _EVIDENCE_MIN = 12.0
 """Cost of the next best label over the best, from which on a label is given: odds of 1 to 400."""
+_CONFIRMED_MIN = 2
+"""Neighbours on a surface that is less steep. Of 1,038 dots on products all that were right have two; two cut
+dots that lay on the rays of other dots, 28 mm too high, confirmed each other alone."""
 _ROUNDS = 4
 _ON_RAY_MIN = 0.6
 """Share of the dots that must lie on some ray's curve: of another pattern's, a fifth does."""
@@ -282,6 +287,13 @@ def _neighbours(found: Candidates, shape: tuple[int, int]) -> tuple[list[Integer
     return partners, costs
 
 
+def _confirmed(found: Candidates, sure: Integers, shape: tuple[int, int]) -> Integers:
+    """Give of each label how many neighbours of the pattern lie on a surface with it that is not steep."""
+    partner, step = _neighbours(Candidates._make(one[sure] for one in found), shape)
+    beside = [((other >= 0) & (cost < 1.0)).any(axis=1) for other, cost in zip(partner, step, strict=True)]
+    return np.asarray(np.sum(beside, axis=0))
+
+
 def _least(cost: Floats, of: Integers) -> Floats:
     least = np.full(int(of.max(initial=-1)) + 1, np.inf)
     np.minimum.at(least, of, cost)
@@ -320,7 +332,7 @@ def _map(
     dot = found.dot[sure]
     row = peaks.row[dot]
     number = _numbered(found, sure, (columns, lines), least_mm)
-    kept = number >= 0
+    kept = (number == BELT) | (number > BELT) & (_confirmed(found, sure, (columns, lines)) >= _CONFIRMED_MIN)
     sure, stripe, line, dot, row, number = (one[kept] for one in (sure, stripe, line, dot, row, number))
 
     def dense(values: Floats, *inner: int) -> Floats:

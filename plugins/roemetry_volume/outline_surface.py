@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from roemetry.errors import StageError
-from roemetry.records import Product, Reason, Shares, Surface, Volume
+from roemetry.records import Estimate, Product, Reason, Shares, Surface, Volume
 from roemetry.records.arrays import Flags, Floats
 from roemetry.records.view import View
 from roemetry.stages import Capabilities, VolumeEstimator
@@ -35,6 +35,8 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
     """Integrates a surface through stripes and outline over the footprint.
 
     Where there is no outline, or none that can be believed, it gives what `slice-pchip` gives, and says so.
+    An outline that disagrees with the stripes may still be right, if dim flanks leave them short: then the
+    two volumes are a rectangle's middle and end, and their distance over √3 joins the uncertainty.
     """
 
     Options = UndersideOptions
@@ -61,7 +63,8 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         fused = fuse(product, product.view, product.outline)
         late = outline_fault(product, slices, fused)
         if late is not None:
-            return self._by_slices(product, late, rng)
+            by_slices = self._by_slices(product, late, rng)
+            return _widened(by_slices, abs(fused.volume_mm3 / by_slices.visible_mm3.value - 1.0), rng)
         volume = _positive(fused.volume_mm3)
         shares = _shares(fused, slices, product)
         budget = budget_of(fused, product.view, product.outline.xy_std_px)
@@ -116,6 +119,21 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
 
     def _slices(self) -> SlicePchip:
         return SlicePchip(self.options)
+
+
+def _widened(volume: Volume, apart: float, rng: np.random.Generator | None) -> Volume:
+    """Add to a volume's uncertainties what outline and stripes are apart by, as a share of it."""
+    share = apart / math.sqrt(3.0) if math.isfinite(apart) else 1.0
+    times = 1.0 if rng is None else 1.0 + share * float(rng.standard_normal())
+
+    def wider(one: Estimate) -> Estimate:
+        budget = {**one.budget, "outline or stripes": share * one.value}
+        return estimate_of(one.value * times, budget)
+
+    true = volume.true_mm3
+    return replace(
+        volume, visible_mm3=wider(volume.visible_mm3), true_mm3=None if true is None else wider(true)
+    )
 
 
 def _positive(volume_mm3: float) -> float:

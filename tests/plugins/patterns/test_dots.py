@@ -55,6 +55,18 @@ def test_dots_beside_every_ray_are_refused_and_not_guessed() -> None:
         EpipolarDots().code(rig.dots(moved), rig.dot_calibration())
 
 
+def test_two_dots_that_confirm_each_other_alone_have_no_label() -> None:
+    """Cut dots at a rim lay on the rays of others, 28 mm too high; each was the other's only witness."""
+    rig = DotRig()
+    height_mm = rig.hill()
+    alone = np.flatnonzero(height_mm[0, :-1] + height_mm[0, 1:] == 0.0)[0]
+    height_mm[0, [alone, alone + 1]] = 12.0
+    found = EpipolarDots().code(rig.dots(rig.places_px(height_mm)), rig.dot_calibration())
+    there = found.seen[0] & np.isin(found.dots.line[0], [alone, alone + 1])
+    assert not there.any()
+    assert found.seen.sum() == np.isfinite(height_mm).sum() - 2
+
+
 @pytest.mark.parametrize("pattern", ["dots", "grid"])
 def test_stages_and_simulators_for_lines_alone_are_refused(pattern: str) -> None:
     folder = f"recipes/potato_{pattern}"
