@@ -407,7 +407,7 @@ def _fitted(level: _Level, motion: Floats, every: float, rounds: int = _ROUNDS) 
     dim = level.dim
     if dim.place.size < _ALIKE * _CLEAR**2:
         return None
-    reach = every * dim.size[1] / 2.0
+    reach = np.array([1.0, 1.0, *[every * dim.size[1] / 2.0] * 2])
     for turn in range(rounds):
         if turn < 8:  # later steps change the slopes by little
             a, *slopes = _sampled(level.bright, dim, motion, every)
@@ -423,7 +423,7 @@ def _fitted(level: _Level, motion: Floats, every: float, rounds: int = _ROUNDS) 
             return None
         step = np.linalg.solve(normal, right)
         motion = motion + step
-        if np.abs(step * [1.0, 1.0, reach, reach]).max() < 0.02:
+        if np.abs(step * reach).max() < 0.02:
             break
     found = _parts(level, motion, every)
     covariance = np.asarray(_ALIKE * std**2 * np.linalg.inv(normal), np.float64)

@@ -113,6 +113,10 @@ class Problem(NamedTuple):
     """lines, pieces, entries: peaks on epipolar lines, pieces of traces, and traces on the lines."""
     there: Floats
     """(stripe,) how surely a stripe is there at all, 0 to 1."""
+    visible: Floats
+    """(line, stripe) how much it counts that a stripe is not seen, 0 to 1."""
+    u_per_px: float
+    """Change of a place on a line for a pixel."""
     candidates: Candidates
     costs: PairCosts
     """candidates, costs: what each entry may be, and what neighbours cost each other."""
@@ -152,24 +156,39 @@ def build_problem(peaks: Peaks, calibration: Calibration, rest: RestLines, reach
     loose = pieces.rest[pieces.of] == ENDS
     belt = pieces.rest[pieces.of] != -1
     entries = entries_of(pieces.trace, pieces.of, loose, belt, lines, u_per_px, ties, GAP_LINES)
+    # a stripe that is found with probability p, and is not seen, costs −log(1 − p); WEIGHTS.unseen at most
+    rows, stripes = peaks.image_size[0], presence.shape[1]
+    outer = math.ceil(_OUTER_SHARE * rows)
+    found = found_share(peaks.row, rest.line, stripes, rows, outer)
+    surprise = np.minimum(-np.log1p(-np.minimum(found, _FOUND_MAX)) / WEIGHTS.unseen, 1.0)
+    # a faint stripe's belt may be in pieces too short to follow, and is there all the same
+    bare = ((peaks.row < outer) | (peaks.row >= rows - outer)) & (rest.line >= 0)
+    seen = np.bincount(rest.line[bare], minlength=stripes)
+    there = np.where(seen >= _PRESENT_SHARE * outer, 1.0, presence.max(axis=0))
+    visible = presence * surprise
+    graph = _graph_of(lines, pieces, entries, there, visible, u_per_px, calibration, rest, reach)
+    return Problem(lines, pieces, entries, there, visible, u_per_px, *graph)
+
+
+def reaching(problem: Problem, calibration: Calibration, rest: RestLines, reach: float) -> Problem:
+    """Give the problem with heights looked for as far as another `reach`; see `build_problem`."""
+    candidates, costs, own = _graph_of(*problem[:6], calibration, rest, reach)
+    return problem._replace(candidates=candidates, costs=costs, own=own)
+
+
+def _graph_of(
+    lines: EpipolarLines, pieces: Pieces, entries: Entries, there: Floats, visible: Floats, u_per_px: float,
+    calibration: Calibration, rest: RestLines, reach: float,
+) -> tuple[Candidates, PairCosts, Floats]:  # fmt: skip
+    """Give what each entry may be and what that costs: the last fields of `Problem`."""
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     low_mm, high_mm = calibration.height_range_mm
     # belt that lies on its rest line from the image's border on is no product out of range: that saves time
     reaches = np.where(pieces.anchored[pieces.of[entries.peak]], 1.0, reach)
     below_mm = min(low_mm, 0.0) - _BELOW_TOLERANCES * slack_mm
     candidates = candidates_of(entries, lines.plane, below_mm, high_mm + slack_mm, reaches)
-    # a stripe that is found with probability p, and is not seen, costs −log(1 − p); WEIGHTS.unseen at most
-    rows, stripes = peaks.image_size[0], presence.shape[1]
-    outer = math.ceil(_OUTER_SHARE * rows)
-    found = found_share(peaks.row, rest.line, stripes, rows, outer)
-    surprise = np.minimum(-np.log1p(-np.minimum(found, _FOUND_MAX)) / WEIGHTS.unseen, 1.0)
-    costs = pair_costs_of(entries, candidates, lines, presence * surprise, u_per_px, 2.0 * slack_mm, WEIGHTS)
-    # a faint stripe's belt may be in pieces too short to follow, and is there all the same
-    bare = ((peaks.row < outer) | (peaks.row >= rows - outer)) & (rest.line >= 0)
-    seen = np.bincount(rest.line[bare], minlength=stripes)
-    there = np.where(seen >= _PRESENT_SHARE * outer, 1.0, presence.max(axis=0))
-    own = unary_costs(entries, candidates, pieces, there, WEIGHTS, _ANCHOR_ROWS)
-    return Problem(lines, pieces, entries, there, candidates, costs, own)
+    costs = pair_costs_of(entries, candidates, lines, visible, u_per_px, 2.0 * slack_mm, WEIGHTS)
+    return candidates, costs, unary_costs(entries, candidates, pieces, there, WEIGHTS, _ANCHOR_ROWS)
 
 
 def cheapest_labels(problem: Problem) -> Solved:
@@ -252,11 +271,12 @@ def min_marginals(
     size = own.shape[0]
     from_up, from_down = np.zeros(size), np.zeros(size)
     first, last = weights.unseen * costs.before, weights.unseen * costs.after
-    steps = _steps_to(candidates, costs, weights)
+    begin, blocks, back, step = _steps_to(candidates, costs, weights)
     nothing = np.full(size + _WIDE, np.inf)  # no path goes by way of a node that stands for no stripe
     work = _Work(
-        *steps, first, last, nothing, nothing.copy(), nothing.copy(), np.zeros(size), np.empty(_WIDE)
-    )
+        begin, blocks, back, step, first, last, nothing, nothing.copy(), nothing.copy(), np.zeros(size),
+        np.empty(_WIDE),
+    )  # fmt: skip
     cost = np.zeros(size)
     empty = weights.unseen * _EMPTY
     lines = start.shape[0] - 1
@@ -290,7 +310,7 @@ class _Work(NamedTuple):
     blocks: Integers
     back: Integers
     step: NDArray[np.float32]
-    """begin, back, step: see `_steps_to`."""
+    """begin, blocks, back, step: see `_steps_to`."""
     first: Floats
     last: Floats
     """first, last: (node,) cost of being a line's first, and last, label."""
