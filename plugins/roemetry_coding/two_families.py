@@ -16,6 +16,7 @@ alike in all three. Source: our own.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -109,8 +110,12 @@ def part_of(peaks: Peaks, mine: Integers) -> Peaks:
     return replace(peaks, **{name: getattr(peaks, name)[mine] for name in names}, family=None)
 
 
+@lru_cache(maxsize=4)
 def family_of(calibration: Calibration, family: int) -> Calibration:
-    """Give what coders need of a calibration for every second stripe."""
+    """Give what coders need of a calibration for every second stripe.
+
+    Kept, so that what coders work out of a calibration once is not worked out of every frame.
+    """
     view = calibration.view
     return replace(
         calibration,

@@ -171,18 +171,20 @@ def edge_around(scene: Scene, start: Floats) -> Edge | None:
         ring = _steepest(scene.level, *scene.marks, ring)
     blur_px = math.hypot(_BLUR_PX, scene.blur_px)
     changed = 0.5
-    if scene.stripes is None:
-        sharp_px, blur_px = blur_px, _blur_of(_across(scene, ring), blur_px)
-        changed = 0.5 if blur_px == sharp_px else 1.0
-    else:
+    if scene.stripes is not None:
         scene = scene._replace(level=np.exp(scene.level))  # light adds up, its logarithm's noise does not
+    seen = _across(scene, ring)
+    if scene.stripes is None:
+        sharp_px, blur_px = blur_px, _blur_of(seen, blur_px)
+        changed = 0.5 if blur_px == sharp_px else 1.0
     model = _model(blur_px)
     for _ in range(_FIT_ROUNDS):
-        ring, std_px, scatter_px = kinked(*_across(scene, ring), model)
+        ring, std_px, scatter_px = kinked(*seen, model)
+        seen = _across(scene, ring)
     unsure_px = _BIASED * max(scatter_px - _USUAL_SCATTER_PX, 0.0)
     if scene.stripes is None:
-        last, unsure = _across(scene, ring), (1 - _BLUR_UNSURE, 1 + _BLUR_UNSURE)
-        narrow, wide = (kinked(*last, _model(share * blur_px))[0] for share in unsure)
+        unsure = (1 - _BLUR_UNSURE, 1 + _BLUR_UNSURE)
+        narrow, wide = (kinked(*seen, _model(share * blur_px))[0] for share in unsure)
         model_px = math.hypot(_MODEL_STD_PX, changed * _apart(narrow, wide))
     else:
         clear, open_px = _seen(scene, ring)

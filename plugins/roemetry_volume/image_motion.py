@@ -170,15 +170,15 @@ def image_motion(
     free = _beside_stripes(laser, grid=grid) & ~product & _belt_like(log_plain)
     weighted, share = halved_where(plain_layout(laser), free)
     bright = _halved(log_plain)
-    finest = _Seen.of(weighted, share), _clipped(_texture(bright))
+    finest = _Level.of(weighted, share, bright)
     still = np.zeros(4)
-    found = _fitted(*finest, still, 2.0, rounds=1)
+    found = _fitted(finest, still, 2.0, rounds=1)
     if found is not None and found.missed is None and not found.significant(_STILL_SIGMAS):
         return found
     textures = [finest]
     for _ in range(_LEVELS - 1):
         weighted, share, bright = (_halved(image) for image in (weighted, share, bright))
-        textures.append((_Seen.of(weighted, share), _clipped(_texture(bright))))
+        textures.append(_Level.of(weighted, share, bright))
     motion = still
     for level in range(_LEVELS, 0, -1):
         texture, every = textures[level - 1], 2.0**level
@@ -186,12 +186,12 @@ def image_motion(
         starts = [still, motion] if reach > every / 2.0 else [still]
         if found is None:
             starts += [np.array([0.0, 0.0, 0.0, growth]) for growth in _GROWTHS]
-        fits = [_fitted(*texture, start, every) for start in starts]
+        fits = [_fitted(texture, start, every) for start in starts]
         found = max((fit for fit in fits if fit is not None), key=lambda fit: fit.sigmas, default=None)
         motion = still if found is None else found.motion
     if found is not None and not found.significant(_MOVED_SIGMAS):
         return found
-    unmoved = _parts(*finest, still, 2.0)
+    unmoved = _parts(finest, still, 2.0)
     if unmoved is None or unmoved.missed is None or (found is not None and found.alike > unmoved.alike):
         return found
     return unmoved
@@ -298,6 +298,25 @@ class _Seen(NamedTuple):
         return cls(_clipped(value), place, x, y, share.shape)
 
 
+class _Level(NamedTuple):
+    """A level of both images."""
+
+    dim: _Seen
+    bright: Singles
+    """(3, row, column) the plain image's texture, and its slopes along x and y, eight times as steep."""
+
+    @classmethod
+    def of(cls, weighted: Singles, share: Singles, bright: Singles) -> _Level:
+        """Take it from what `halved_where` gives of the laser image, and the plain image's logarithm."""
+        import cv2
+
+        images = np.empty((3, *bright.shape), np.float32)
+        images[0] = _clipped(_texture(bright))
+        for slope, way in ((images[1], (1, 0)), (images[2], (0, 1))):
+            cv2.Sobel(images[0], cv2.CV_32F, *way, dst=slope, ksize=3)
+        return cls(_Seen.of(weighted, share), images)
+
+
 @float_kernel
 def texture_seen(
     share: Singles, fine: Singles, fine_share: Singles, coarse: Singles, coarse_share: Singles
@@ -336,8 +355,8 @@ class _Compared(NamedTuple):
     gain: float
 
 
-def _compared(dim: _Seen, bright: Singles, motion: Floats, every: float) -> _Compared:
-    return _of(_sampled(bright[None], dim, motion, every)[0], dim)
+def _compared(level: _Level, motion: Floats, every: float) -> _Compared:
+    return _of(_sampled(level.bright[:1], level.dim, motion, every)[0], level.dim)
 
 
 def _of(a: Singles, dim: _Seen) -> _Compared:
@@ -347,7 +366,7 @@ def _of(a: Singles, dim: _Seen) -> _Compared:
 def _sampled(images: Singles, dim: _Seen, motion: Floats, every: float) -> Singles:
     """Give (image, place) what each of some images has at the places, once they have moved."""
     if not motion.any():
-        return np.stack([image.ravel()[dim.place] for image in images])
+        return images.reshape(len(images), -1)[:, dim.place]
     rows, columns = dim.size
     matrix = _matrix(motion / np.array([every, every, 1.0, 1.0]), rows, columns).astype(np.float32)
     # in the order in which OpenCV's warp rounds: what is the same along a row first
@@ -383,33 +402,30 @@ def sampled_at(images: Singles, place: Integers, of_column: Singles, of_row: Sin
     return found
 
 
-def _fitted(
-    dim: _Seen, bright: Singles, motion: Floats, every: float, rounds: int = _ROUNDS
-) -> ImageMotion | None:
+def _fitted(level: _Level, motion: Floats, every: float, rounds: int = _ROUNDS) -> ImageMotion | None:
     """Fit the motion on one level, from a first guess."""
-    import cv2
-
+    dim = level.dim
     if dim.place.size < _ALIKE * _CLEAR**2:
         return None
-    steep = [cv2.Sobel(bright, cv2.CV_32F, *way, ksize=3) for way in ((1, 0), (0, 1))]
-    images = np.stack([bright, *steep])
-    reach = every * dim.size[1] / 2.0
+    reach = np.array([1.0, 1.0, *[every * dim.size[1] / 2.0] * 2])
     for turn in range(rounds):
         if turn < 8:  # later steps change the slopes by little
-            a, *slopes = _sampled(images, dim, motion, every)
+            a, *slopes = _sampled(level.bright, dim, motion, every)
             one = _of(a, dim)
             slope_gain = one.gain / 8.0
         else:
-            one = _compared(dim, bright, motion, every)
+            one = _compared(level, motion, every)
+        if one.gain <= 0.0:
+            return None
         normal, right, std = step_sums(one, *slopes, slope_gain, dim.x, dim.y, every)
         least, *_, most = np.linalg.eigvalsh(normal)
-        if one.gain <= 0.0 or not least > 1e-14 * most:
+        if not least > 1e-14 * most:
             return None
         step = np.linalg.solve(normal, right)
         motion = motion + step
-        if np.abs(step * [1.0, 1.0, reach, reach]).max() < 0.02:
+        if np.abs(step * reach).max() < 0.02:
             break
-    found = _parts(dim, bright, motion, every)
+    found = _parts(level, motion, every)
     covariance = np.asarray(_ALIKE * std**2 * np.linalg.inv(normal), np.float64)
     return None if found is None else found._replace(covariance=covariance)
 
@@ -474,14 +490,14 @@ def part_sums(one: _Compared, place: Integers, rows: int, columns: int) -> Float
     return sums
 
 
-def _parts(dim: _Seen, bright: Singles, motion: Floats, every: float) -> ImageMotion | None:
+def _parts(level: _Level, motion: Floats, every: float) -> ImageMotion | None:
     """Compare the textures as a whole and part by part; None where neither is alike.
 
     The gain is that of the parts that are alike: of a torn frame the others would lower it. No part must show
     more texture than is usual: what else varies is the rim of a shadow, which plain light alone throws.
     """
-    one, (rows, columns) = _compared(dim, bright, motion, every), dim.size
-    count, both, of_a, of_b = part_sums(one, dim.place, rows, columns)
+    one, (rows, columns) = _compared(level, motion, every), level.dim.size
+    count, both, of_a, of_b = part_sums(one, level.dim.place, rows, columns)
     scale = np.sqrt(count / _ALIKE) / np.sqrt(np.maximum(of_a * of_b, 1e-12))
     alike = both * scale > _CLEAR
     whole = both.sum() / np.sqrt(max(of_a.sum() * of_b.sum(), 1e-12)) * math.sqrt(count.sum() / _ALIKE)
@@ -503,7 +519,12 @@ def _parts(dim: _Seen, bright: Singles, motion: Floats, every: float) -> ImageMo
 
 
 def _matrix(motion: Floats, rows: int, columns: int) -> Floats:
-    right, down, turn, growth = motion
-    middle = 0.5 * np.array([columns - 1, rows - 1])
-    linear = (1.0 + growth) * np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-    return np.column_stack([linear, middle + np.array([right, down]) - linear @ middle])
+    right, down, turn, growth = motion.tolist()
+    x, y = 0.5 * (columns - 1), 0.5 * (rows - 1)
+    along, across = (1.0 + growth) * math.cos(turn), (1.0 + growth) * math.sin(turn)
+    return np.array(
+        [
+            [along, -across, x + right - (along * x - across * y)],
+            [across, along, y + down - (across * x + along * y)],
+        ]
+    )

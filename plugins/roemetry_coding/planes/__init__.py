@@ -32,7 +32,7 @@ from roemetry.records.calibration import Calibration
 from roemetry.stages import Coder
 from roemetry_coding.planes.decide import decided, margin_of, verdicts_of
 from roemetry_coding.planes.lines import epipolar_lines
-from roemetry_coding.planes.solve import build_problem, cheapest_labels
+from roemetry_coding.planes.solve import build_problem, cheapest_labels, reaching
 from roemetry_kernels.bridging import BridgingOptions, bridged
 from roemetry_kernels.consistency import refuse_bare_lines, refuse_uncodable, required_calibration
 from roemetry_kernels.rest_lines import RestLines, calibrated_rest_lines, missing_stripes, reasons_of
@@ -94,7 +94,7 @@ class Planes(Coder[PlanesOptions]):
         for bound, reach in pairwise(_REACH):
             if not _bounded(peaks, verdicts.stripe, calibration, rest, bound):
                 break
-            problem = build_problem(peaks, calibration, rest, reach)
+            problem = reaching(problem, calibration, rest, reach)
             verdicts = verdicts_of(problem, cheapest_labels(problem), peaks.row)
         given = np.bincount(verdicts.stripe[verdicts.stripe >= 0], minlength=problem.there.size)
         live = np.flatnonzero((problem.there > 0.0) & (given >= _LIVE_PEAKS_MIN))

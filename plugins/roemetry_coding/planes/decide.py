@@ -124,11 +124,12 @@ def verdicts_of(problem: Problem, solved: Solved, row: Integers) -> Verdicts:
         )
         return np.asarray(short * found)
 
+    before = np.zeros(stripe.size, np.bool_)
     for _ in range(_DOUBT_ROUNDS):
         doubtful = (stripe >= 0) & ((evidence < _DOUBTFUL) | ~sure)
-        if not doubtful.any():
+        if (doubtful == before).all():  # nothing, or nothing new: the evidence would stay as it is
             break
-        evidence = np.minimum(evidence, without(doubtful))
+        evidence, before = np.minimum(evidence, without(doubtful)), doubtful
     level = may_be_level(entries, candidates, pieces, solved.best, problem.costs, WEIGHTS, problem.there, row)
     sure &= ~level
     if level.any():

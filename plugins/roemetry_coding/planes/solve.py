@@ -95,6 +95,9 @@ _ROUNDS = 2
 """Sweeps are repeated up to twice with the labels found by shifts cheaper by as much as a false peak."""
 _EMPTY = 3.0
 """A line with no stripe at all costs this many visible stripes left out."""
+_WIDE = 4
+"""Costs of steps are taken so many at once: an entry has one to eight labels, and loops over each pair's few
+would mostly begin and end."""
 _DEAR = 20.0
 """Costs count up to this when a piece's lines vote: more than any wrong label costs on one line."""
 _SMALL_ENTRIES = 12
@@ -110,6 +113,10 @@ class Problem(NamedTuple):
     """lines, pieces, entries: peaks on epipolar lines, pieces of traces, and traces on the lines."""
     there: Floats
     """(stripe,) how surely a stripe is there at all, 0 to 1."""
+    visible: Floats
+    """(line, stripe) how much it counts that a stripe is not seen, 0 to 1."""
+    u_per_px: float
+    """Change of a place on a line for a pixel."""
     candidates: Candidates
     costs: PairCosts
     """candidates, costs: what each entry may be, and what neighbours cost each other."""
@@ -149,24 +156,39 @@ def build_problem(peaks: Peaks, calibration: Calibration, rest: RestLines, reach
     loose = pieces.rest[pieces.of] == ENDS
     belt = pieces.rest[pieces.of] != -1
     entries = entries_of(pieces.trace, pieces.of, loose, belt, lines, u_per_px, ties, GAP_LINES)
+    # a stripe that is found with probability p, and is not seen, costs −log(1 − p); WEIGHTS.unseen at most
+    rows, stripes = peaks.image_size[0], presence.shape[1]
+    outer = math.ceil(_OUTER_SHARE * rows)
+    found = found_share(peaks.row, rest.line, stripes, rows, outer)
+    surprise = np.minimum(-np.log1p(-np.minimum(found, _FOUND_MAX)) / WEIGHTS.unseen, 1.0)
+    # a faint stripe's belt may be in pieces too short to follow, and is there all the same
+    bare = ((peaks.row < outer) | (peaks.row >= rows - outer)) & (rest.line >= 0)
+    seen = np.bincount(rest.line[bare], minlength=stripes)
+    there = np.where(seen >= _PRESENT_SHARE * outer, 1.0, presence.max(axis=0))
+    visible = presence * surprise
+    graph = _graph_of(lines, pieces, entries, there, visible, u_per_px, calibration, rest, reach)
+    return Problem(lines, pieces, entries, there, visible, u_per_px, *graph)
+
+
+def reaching(problem: Problem, calibration: Calibration, rest: RestLines, reach: float) -> Problem:
+    """Give the problem with heights looked for as far as another `reach`; see `build_problem`."""
+    candidates, costs, own = _graph_of(*problem[:6], calibration, rest, reach)
+    return problem._replace(candidates=candidates, costs=costs, own=own)
+
+
+def _graph_of(
+    lines: EpipolarLines, pieces: Pieces, entries: Entries, there: Floats, visible: Floats, u_per_px: float,
+    calibration: Calibration, rest: RestLines, reach: float,
+) -> tuple[Candidates, PairCosts, Floats]:  # fmt: skip
+    """Give what each entry may be and what that costs: the last fields of `Problem`."""
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     low_mm, high_mm = calibration.height_range_mm
     # belt that lies on its rest line from the image's border on is no product out of range: that saves time
     reaches = np.where(pieces.anchored[pieces.of[entries.peak]], 1.0, reach)
     below_mm = min(low_mm, 0.0) - _BELOW_TOLERANCES * slack_mm
     candidates = candidates_of(entries, lines.plane, below_mm, high_mm + slack_mm, reaches)
-    # a stripe that is found with probability p, and is not seen, costs −log(1 − p); WEIGHTS.unseen at most
-    rows, stripes = peaks.image_size[0], presence.shape[1]
-    outer = math.ceil(_OUTER_SHARE * rows)
-    found = found_share(peaks.row, rest.line, stripes, rows, outer)
-    surprise = np.minimum(-np.log1p(-np.minimum(found, _FOUND_MAX)) / WEIGHTS.unseen, 1.0)
-    costs = pair_costs_of(entries, candidates, lines, presence * surprise, u_per_px, 2.0 * slack_mm, WEIGHTS)
-    # a faint stripe's belt may be in pieces too short to follow, and is there all the same
-    bare = ((peaks.row < outer) | (peaks.row >= rows - outer)) & (rest.line >= 0)
-    seen = np.bincount(rest.line[bare], minlength=stripes)
-    there = np.where(seen >= _PRESENT_SHARE * outer, 1.0, presence.max(axis=0))
-    own = unary_costs(entries, candidates, pieces, there, WEIGHTS, _ANCHOR_ROWS)
-    return Problem(lines, pieces, entries, there, candidates, costs, own)
+    costs = pair_costs_of(entries, candidates, lines, visible, u_per_px, 2.0 * slack_mm, WEIGHTS)
+    return candidates, costs, unary_costs(entries, candidates, pieces, there, WEIGHTS, _ANCHOR_ROWS)
 
 
 def cheapest_labels(problem: Problem) -> Solved:
@@ -245,16 +267,16 @@ def min_marginals(
     weights
         What a break of the surface, and a visible stripe left out, cost.
     """
-    start, offset = entries.start, candidates.offset
+    start, many, offset = entries.start, candidates.many, candidates.offset
     size = own.shape[0]
     from_up, from_down = np.zeros(size), np.zeros(size)
-    step = np.empty(costs.unseen.shape[0], np.float32)
-    for c in range(step.shape[0]):
-        step[c] = weights.surface * costs.surface[c] + weights.unseen * costs.unseen[c]
     first, last = weights.unseen * costs.before, weights.unseen * costs.after
+    begin, blocks, back, step = _steps_to(candidates, costs, weights)
+    nothing = np.full(size + _WIDE, np.inf)  # no path goes by way of a node that stands for no stripe
     work = _Work(
-        costs.pair, step, first, last, np.empty(size), np.empty(size), np.empty(size), np.zeros(size)
-    )
+        begin, blocks, back, step, first, last, nothing, nothing.copy(), nothing.copy(), np.zeros(size),
+        np.empty(_WIDE),
+    )  # fmt: skip
     cost = np.zeros(size)
     empty = weights.unseen * _EMPTY
     lines = start.shape[0] - 1
@@ -262,44 +284,33 @@ def min_marginals(
         said = from_up if downwards else from_down
         for k in range(lines):
             e = k if downwards else lines - 1 - k
-            if start[e] == start[e + 1]:
-                continue
-            span = _Span(start[e], start[e + 1], costs.pair_start[e], costs.pair_start[e + 1])
-            for node in range(offset[span.first], offset[span.end]):
-                work.total[node] = own[node] + said[node]
-                work.taken[node] = 0.0
-            _share_out(span, candidates.many, offset, work)
-            for i in range(span.first, span.end):
+            for i in range(start[e], start[e + 1]):
+                for node in range(offset[i], offset[i] + many[i]):
+                    work.total[node] = own[node] + said[node] - own[offset[i + 1] - 1]
+                    work.taken[node] = 0.0
+            _share_out(start[e], start[e + 1], many, offset, work)
+            for i in range(start[e], start[e + 1]):
                 if downwards and entries.after[i] >= 0:
                     j = entries.after[i]
                     _hand_on(i, j, entries.tie[j], candidates, work.taken, from_up)
                 elif not downwards and entries.before[i] >= 0:
                     _hand_on(i, entries.before[i], entries.tie[i], candidates, work.taken, from_down)
     for e in range(lines):
-        if start[e] == start[e + 1]:
-            continue
-        span = _Span(start[e], start[e + 1], costs.pair_start[e], costs.pair_start[e + 1])
-        for node in range(offset[span.first], offset[span.end]):
-            work.total[node] = own[node] + from_up[node] + from_down[node]
-        _solve_line(span, candidates.many, offset, work, empty, cost)
+        for i in range(start[e], start[e + 1]):
+            for node in range(offset[i], offset[i] + many[i]):
+                work.total[node] = own[node] + from_up[node] + from_down[node] - own[offset[i + 1] - 1]
+        _solve_line(start[e], start[e + 1], many, offset, work, empty, cost)
     return cost
 
 
-class _Span(NamedTuple):
-    """A line's entries and pairs: the first, and the one after the last."""
-
-    first: int
-    end: int
-    pair_first: int
-    pair_end: int
-
-
 class _Work(NamedTuple):
-    """What the lines' solver reads, and its room."""
+    """What the lines' solver reads, and its room; all costs beyond that of leaving all entries out."""
 
-    pair: Integers
+    begin: Integers
+    blocks: Integers
+    back: Integers
     step: NDArray[np.float32]
-    """pair, step: see `PairCosts`; (cost,) of a pair's labels."""
+    """begin, blocks, back, step: see `_steps_to`."""
     first: Floats
     last: Floats
     """first, last: (node,) cost of being a line's first, and last, label."""
@@ -307,109 +318,124 @@ class _Work(NamedTuple):
     """(node,) cost by itself, with what other lines say."""
     forward: Floats
     backward: Floats
-    """forward, backward: (node,) least cost up to, and from, a node."""
+    """forward, backward: (node,) least cost up to, and from, a node, its own included."""
     taken: Floats
     """(node,) what a line's cost is taken apart into."""
+    least: Floats
+    """(`_WIDE`,) room."""
 
 
 @inlined
-def _share_out(span: _Span, count: Integers, offset: Integers, work: _Work) -> None:
-    """Take the line's cost apart into its nodes': evenly from the left, what is left from the right."""
-    a, b = span.first, span.end
-    first, last, total, taken = work.first, work.last, work.total, work.taken
-    forward, backward = work.forward, work.backward
-    none = 0.0
-    nothing = np.empty(b - a + 1)
-    for i in range(a, b):
-        nothing[i - a] = none
-        none += total[offset[i + 1] - 1]
-    nothing[b - a] = none
-    _backwards(span, count, offset, work, nothing)
-    n = span.pair_first
+def _steps_to(
+    candidates: Candidates, costs: PairCosts, weights: Weights
+) -> tuple[Integers, Integers, Integers, NDArray[np.float32]]:
+    """Lay out what a step to each node costs from all nodes before it that it may be come to from.
+
+    Returns
+    -------
+    begin, blocks, back : ndarray, shape (entry,)
+        Where the costs of an entry's first node begin, those of its next one follow; how many blocks of
+        `_WIDE` these are, and from which node on.
+    step : ndarray
+        The costs; infinite from nodes that stand for no stripe, and from those that fill the last block.
+    """
+    many, offset, pair = candidates.many, candidates.offset, costs.pair
+    entries = many.shape[0]
+    begin, blocks, back = np.zeros(entries + 1, np.int64), np.zeros(entries, np.int64), offset[:-1].copy()
+    for n in range(pair.shape[0] - 1, -1, -1):
+        back[pair[n, 1]] = offset[pair[n, 0]]
+    for p in range(entries):
+        blocks[p] = (offset[p] - back[p] + _WIDE - 1) // _WIDE
+        begin[p + 1] = begin[p] + many[p] * blocks[p] * _WIDE
+    step = np.full(begin[entries], np.float32(np.inf))
+    for n in range(pair.shape[0]):
+        q, p, c = pair[n, 0], pair[n, 1], pair[n, 2]
+        at = begin[p] + offset[q] - back[p]
+        for _ in range(many[p]):
+            for j in range(many[q]):
+                step[at + j] = weights.surface * costs.surface[c] + weights.unseen * costs.unseen[c]
+                c += 1
+            at += blocks[p] * _WIDE
+    return begin, blocks, back, step
+
+
+@inlined
+def _share_out(a: int, b: int, many: Integers, offset: Integers, work: _Work) -> None:
+    """Take the cost of a line's entries a to b − 1 apart: evenly from the left, what is left from there."""
+    total, taken, forward, backward = work.total, work.taken, work.forward, work.backward
+    _backwards(a, b, many, offset, work)
     for p in range(a, b):
-        for node in range(offset[p], offset[p] + count[p]):
-            forward[node] = nothing[p - a] + first[node]
-        n = _arrive(p, n, span, count, offset, work, nothing)
+        _arrive(p, many, offset, work)
         least = np.inf
-        for node in range(offset[p], offset[p] + count[p]):
-            forward[node] += total[node]
+        for node in range(offset[p], offset[p] + many[p]):
             least = min(least, forward[node] + backward[node] - total[node])
         share = 1.0 / (b - p)
-        for node in range(offset[p], offset[p] + count[p]):
+        for node in range(offset[p], offset[p] + many[p]):
             part = share * (forward[node] + backward[node] - total[node] - least)
             taken[node] += part
             forward[node] -= part
             total[node] -= part
-    n = span.pair_end - 1
-    for p in range(b - 1, a - 1, -1):
-        for node in range(offset[p], offset[p] + count[p]):
-            backward[node] = none - nothing[p + 1 - a] + last[node]
+    _end(a, b, many, offset, work)
     for p in range(b - 1, a - 1, -1):
         least = np.inf
-        for node in range(offset[p], offset[p] + count[p]):
+        for node in range(offset[p], offset[p] + many[p]):
             backward[node] += total[node]
             least = min(least, forward[node] + backward[node] - total[node])
-        for node in range(offset[p], offset[p] + count[p]):
+        for node in range(offset[p], offset[p] + many[p]):
             part = forward[node] + backward[node] - total[node] - least
             taken[node] += part
             backward[node] -= part
-        n = _depart(p, n, span, count, offset, work, nothing)
+        _depart(p, many, offset, work)
 
 
 @inlined
-def _backwards(span: _Span, count: Integers, offset: Integers, work: _Work, nothing: Floats) -> None:
-    """Write the least cost of the line from each node on, its own included."""
-    a, b = span.first, span.end
-    total, last, backward = work.total, work.last, work.backward
-    for p in range(a, b):
-        for node in range(offset[p], offset[p] + count[p]):
-            backward[node] = nothing[b - a] - nothing[p + 1 - a] + last[node]
-    n = span.pair_end - 1
+def _backwards(a: int, b: int, many: Integers, offset: Integers, work: _Work) -> None:
+    """Write the least cost of the line from each node on."""
+    _end(a, b, many, offset, work)
     for p in range(b - 1, a - 1, -1):
-        for node in range(offset[p], offset[p] + count[p]):
-            backward[node] += total[node]
-        n = _depart(p, n, span, count, offset, work, nothing)
+        for node in range(offset[p], offset[p] + many[p]):
+            work.backward[node] += work.total[node]
+        _depart(p, many, offset, work)
 
 
 @inlined
-def _arrive(
-    p: int, n: int, span: _Span, count: Integers, offset: Integers, work: _Work, nothing: Floats
-) -> int:
-    """Lower the costs up to entry p by coming from the entries before it; give the next pair."""
-    a, pair, step, forward = span.first, work.pair, work.step, work.forward
-    here = np.uint64(offset[p])
-    while n < span.pair_end and pair[n, 1] == p:
-        q, c = pair[n, 0], np.uint64(pair[n, 2])
-        between = nothing[p - a] - nothing[q + 1 - a]
-        there = np.uint64(offset[q])
-        for node in range(here, here + np.uint64(count[p])):
-            least = np.inf
-            for before in range(there, there + np.uint64(count[q])):
-                least = min(least, forward[before] + step[c])
-                c += np.uint64(1)
-            forward[node] = min(forward[node], least + between)
-        n += 1
-    return n
+def _end(a: int, b: int, many: Integers, offset: Integers, work: _Work) -> None:
+    """Write the cost behind each node as if it were the line's last label."""
+    for p in range(a, b):
+        for node in range(offset[p], offset[p] + many[p]):
+            work.backward[node] = work.last[node]
 
 
 @inlined
-def _depart(
-    p: int, n: int, span: _Span, count: Integers, offset: Integers, work: _Work, nothing: Floats
-) -> int:
-    """Lower the costs of the entries before p by going on to p; give the next pair."""
-    a, pair, step, backward = span.first, work.pair, work.step, work.backward
-    here = np.uint64(offset[p])
-    while n >= span.pair_first and pair[n, 1] == p:
-        q, c = pair[n, 0], np.uint64(pair[n, 2])
-        between = nothing[p - a] - nothing[q + 1 - a]
-        there = np.uint64(offset[q])
-        for node in range(here, here + np.uint64(count[p])):
-            later = backward[node] + between
-            for before in range(there, there + np.uint64(count[q])):
-                backward[before] = min(backward[before], later + step[c])
-                c += np.uint64(1)
-        n -= 1
-    return n
+def _arrive(p: int, many: Integers, offset: Integers, work: _Work) -> None:
+    """Write the least cost up to each node of entry p, come to from any before it, or as the first."""
+    step, forward, least, c = work.step, work.forward, work.least, np.uint64(work.begin[p])
+    for node in range(offset[p], offset[p] + many[p]):
+        at = np.uint64(work.back[p])
+        for k in range(_WIDE):
+            least[k] = np.inf
+        for _ in range(work.blocks[p]):
+            for k in range(np.uint64(_WIDE)):
+                least[k] = min(least[k], forward[at + k] + step[c + k])
+            at += np.uint64(_WIDE)
+            c += np.uint64(_WIDE)
+        lowest = work.first[node]
+        for k in range(_WIDE):
+            lowest = min(lowest, least[k])
+        forward[node] = lowest + work.total[node]
+
+
+@inlined
+def _depart(p: int, many: Integers, offset: Integers, work: _Work) -> None:
+    """Lower the costs from nodes before entry p on by going on to it."""
+    step, backward, c = work.step, work.backward, np.uint64(work.begin[p])
+    for node in range(offset[p], offset[p] + many[p]):
+        later, at = backward[node], np.uint64(work.back[p])
+        for _ in range(work.blocks[p]):
+            for k in range(np.uint64(_WIDE)):
+                backward[at + k] = min(backward[at + k], later + step[c + k])
+            at += np.uint64(_WIDE)
+            c += np.uint64(_WIDE)
 
 
 @inlined
@@ -429,49 +455,38 @@ def _hand_on(i: int, j: int, tie: float, candidates: Candidates, taken: Floats, 
 
 @inlined
 def _solve_line(
-    span: _Span, count: Integers, offset: Integers, work: _Work, empty: float, cost: Floats
+    a: int, b: int, many: Integers, offset: Integers, work: _Work, empty: float, cost: Floats
 ) -> None:
-    """Write the least cost of the line for each of its nodes, less the least of the entry."""
-    a, b, pair, step = span.first, span.end, work.pair, work.step
-    first, last, total, forward, backward = work.first, work.last, work.total, work.forward, work.backward
-    none = 0.0
-    nothing = np.empty(b - a + 1)
-    for i in range(a, b):
-        nothing[i - a] = none
-        none += total[offset[i + 1] - 1]
-        cost[offset[i + 1] - 1] = np.inf
-    nothing[b - a] = none
-    _backwards(span, count, offset, work, nothing)
-    n = span.pair_first
-    ended = none + empty
+    """Write the line's least cost for each node of its entries a to b − 1, less the least of the entry."""
+    step, total, forward, backward = work.step, work.total, work.forward, work.backward
+    _backwards(a, b, many, offset, work)
+    ended = empty
     for p in range(a, b):
-        for node in range(offset[p], offset[p] + count[p]):
-            forward[node] = nothing[p - a] + first[node]
-        m = _arrive(p, n, span, count, offset, work, nothing)
-        while n < m:  # entries between the two are left out
-            q, c = pair[n, 0], pair[n, 2]
-            if p - q > 1:
-                least = np.inf
-                for s in range(count[p]):
-                    for t in range(count[q]):
-                        least = min(least, forward[offset[q] + t] + step[c] + backward[offset[p] + s])
-                        c += 1
-                least += nothing[p - a] - nothing[q + 1 - a]
-                for i in range(q + 1, p):
-                    cost[offset[i + 1] - 1] = min(cost[offset[i + 1] - 1], least)
-            n += 1
-        cost[offset[p + 1] - 1] = min(cost[offset[p + 1] - 1], ended)
-        for node in range(offset[p], offset[p] + count[p]):
-            forward[node] += total[node]
-            ended = min(ended, forward[node] + none - nothing[p + 1 - a] + last[node])
-    begun = none + empty
+        _arrive(p, many, offset, work)
+        cost[offset[p + 1] - 1] = ended
+        for node in range(offset[p], offset[p] + many[p]):
+            ended = min(ended, forward[node] + work.last[node])
+    begun = empty
     for p in range(b - 1, a - 1, -1):
         left_out = offset[p + 1] - 1
         cost[left_out] = min(cost[left_out], begun)
-        least = cost[left_out]
-        for node in range(offset[p], offset[p] + count[p]):
-            begun = min(begun, backward[node] + nothing[p - a] + first[node])
+        for node in range(offset[p], offset[p] + many[p]):
+            begun = min(begun, backward[node] + work.first[node])
             cost[node] = forward[node] + backward[node] - total[node]
+    for p in range(a, b):  # entries between two are left out
+        over, q = np.inf, p
+        while q > a and offset[q] > work.back[p]:
+            q -= 1
+        for k in range(q, p - 1):
+            c = work.begin[p] + offset[k] - work.back[p]
+            for node in range(offset[p], offset[p] + many[p]):
+                for j in range(many[k]):
+                    over = min(over, forward[offset[k] + j] + step[c + j] + backward[node])
+                c += work.blocks[p] * _WIDE
+            cost[offset[k + 2] - 1] = min(cost[offset[k + 2] - 1], over)
+    for p in range(a, b):
+        least = np.inf
+        for node in range(offset[p], offset[p + 1]):
             least = min(least, cost[node])
         for node in range(offset[p], offset[p + 1]):
             cost[node] -= least
