@@ -30,7 +30,7 @@ RIGS = {
         800.0, 240.0, tilt_deg=(15.0, 10.0), lens=(-0.25, 0.09, -0.001, 0.0005, -0.012)
     ),
 }
-MARK_PX, STRIPE_PX, FOOT_MM = 0.08, 0.15, 0.03
+MARK_PX, STRIPE_PX, CONTACT_MM = 0.08, 0.15, 0.03
 FREE = np.arange(CAMERA) < 9
 
 
@@ -58,7 +58,7 @@ def _row(name: str, stripes: int, repeats: int, seed: int) -> list[str]:
     truth = _heights(exact.geometry, exact, at)
     squares, planes, heights, stated, seconds = [], [], [], [], []
     for _ in range(repeats):
-        seen = noisy(exact, rng, MARK_PX, STRIPE_PX, FOOT_MM)
+        seen = noisy(exact, rng, MARK_PX, STRIPE_PX, CONTACT_MM)
         begin = time.perf_counter()
         found = _adjusted(seen, exact.geometry, free)
         seconds.append(time.perf_counter() - begin)
@@ -79,7 +79,7 @@ def _row(name: str, stripes: int, repeats: int, seed: int) -> list[str]:
 
 
 def _adjusted(seen: Shown, start: Geometry, free: Unknowns) -> Adjusted:
-    return adjust(start, free, seen.corners, seen.points, seen.feet, foot_std_mm=FOOT_MM)
+    return adjust(start, free, seen.corners, seen.points, seen.contacts, contact_std_mm=CONTACT_MM)
 
 
 def _bound(exact: Shown, free: Unknowns) -> Floats:
@@ -87,7 +87,7 @@ def _bound(exact: Shown, free: Unknowns) -> Floats:
     weights = Weights(
         MARK_PX, STRIPE_PX, np.ones(exact.corners.pose.size), np.ones(exact.points.pose.size), robust=False
     )
-    problem = Problem(free, exact.corners, exact.points, exact.feet, FOOT_MM, weights)
+    problem = Problem(free, exact.corners, exact.points, exact.contacts, CONTACT_MM, weights)
     return inverse(problem.normal(exact.geometry)[0])
 
 

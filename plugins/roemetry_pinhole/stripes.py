@@ -26,7 +26,7 @@ from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.boards import on_board, on_even_print
 from roemetry_pinhole.bundle import MAD_TO_STD
 from roemetry_pinhole.geometry import ON_BELT, StripePoints, rays
-from roemetry_pinhole.initial_intrinsics import FirstCamera, belt_under, reasons
+from roemetry_pinhole.initial_intrinsics import InitialCamera, belt_under, reasons
 from roemetry_pinhole.numbering import PoseLines, number_stripes
 from roemetry_pinhole.prints import first_sizes
 
@@ -205,7 +205,7 @@ class Gathered:
 
 
 def gather(
-    first: FirstCamera,
+    first: InitialCamera,
     belts: tuple[Observation, ...],
     stripes: int,
     travelled: Floats,
@@ -337,7 +337,7 @@ def _in_space(name: str, lines: list[StripeLine], xy: Floats, plane: Floats) -> 
     return PoseLines(name, ends, np.array([line.peak.size for line in lines]))
 
 
-def _belt_pose(first: FirstCamera, belts: tuple[Observation, ...], stripes: int) -> PoseLines | None:
+def _belt_pose(first: InitialCamera, belts: tuple[Observation, ...], stripes: int) -> PoseLines | None:
     """Give the lines on the empty belt, where a board lay on it; the image with the right number of them."""
     lies = [number for number, view in enumerate(first.views) if view.on_belt]
     for view in belts if lies else ():
