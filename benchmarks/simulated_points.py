@@ -190,6 +190,6 @@ def _on_belt(geometry: Geometry, plane: Floats) -> Floats:
     """Places of one stripe on the belt, camera frame, mm."""
     along = np.cross(plane, geometry.belt)
     along /= np.linalg.norm(along)
-    foot = np.linalg.lstsq(np.stack([plane, geometry.belt, along]), np.array([1.0, 1.0, 0.0]), rcond=None)[0]
+    near = np.linalg.lstsq(np.stack([plane, geometry.belt, along]), np.array([1.0, 1.0, 0.0]), rcond=None)[0]
     away = 1.0 / float(np.linalg.norm(geometry.belt))
-    return np.asarray(foot + np.linspace(-1.0, 1.0, 2 * _WAY)[:, None] * away * along)
+    return np.asarray(near + np.linspace(-1.0, 1.0, 2 * _WAY)[:, None] * away * along)

@@ -33,18 +33,18 @@ from roemetry_pinhole.joint_adjustment import (
     JointAdjustment,
     adjust_jointly,
     camera_alone,
-    of_planes,
+    known_planes_covariance,
     planes_by_solids,
 )
 from roemetry_pinhole.known_files import read_planes
 from roemetry_pinhole.pinhole_plane import METHOD, covariance_of, derived, parameters_of
 from roemetry_pinhole.scale import (
-    check_beside_solids,
     check_scale,
     check_solids,
     of_lengths,
     rescaled,
     scaled_by_references,
+    with_solid_checks,
 )
 from roemetry_pinhole.verdict import evidence_of, judged
 
@@ -148,7 +148,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             # solids that contradict each other spoil the fit of all: then that is the reason to give
             check_solids(observed, made)
             raise
-        return replace(calibration, **check_beside_solids(calibration, observed, made))
+        return replace(calibration, **with_solid_checks(calibration, observed, made))
 
     def camera(self, observed: CalibrationSet) -> CameraFit:
         """Find camera and lens alone; CalibrationError for too few poses, or poses too much alike."""
@@ -260,7 +260,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
                 "camera and planes of light were read from files and are taken as exact: their uncertainty "
                 "is in no figure; planes_offset_std_mm and planes_angle_std_deg state it"
             )
-        return of_planes(joined.measured, joined.adjusted, angle, offset), (
+        return known_planes_covariance(joined.measured, joined.adjusted, angle, offset), (
             f"planes of light were read from a file, each uncertain by {offset:g} mm along its normal and by "
             f"{angle:g}°, on its own; the camera is taken as exact"
         )

@@ -31,7 +31,7 @@ from roemetry_pinhole.geometry import CAMERA, ON_BELT, Geometry, rays
 from roemetry_pinhole.initial_intrinsics import (
     InitialCamera,
     belt_under,
-    by_marks,
+    boards_alone,
     free_numbers,
     initial_camera,
 )
@@ -98,7 +98,7 @@ class PinholeCirclesCalibrator(Calibrator[PinholeCirclesOptions]):
                 "nothing shows where the belt is",
                 hint="lay the board on the belt and name the image in images.board_on_belt",
             )
-        marks = by_marks(first, free, contacts=True).adjusted()
+        marks = boards_alone(first, free, contacts=True).adjusted()
         points, start = self._points(first, belts, observed.stripe_count // 2)
         found = _adjusted(marks, points, start)
         left_out = 1.0 - float(found.used.mean())

@@ -30,7 +30,7 @@ from roemetry_pinhole.geometry import CAMERA, ON_BELT, rays
 from roemetry_pinhole.initial_intrinsics import (
     InitialCamera,
     belt_under,
-    by_marks,
+    boards_alone,
     free_numbers,
     initial_camera,
 )
@@ -89,7 +89,7 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
                 "nothing shows where the belt is",
                 hint="lay the board on the belt and name the image in images.board_on_belt",
             )
-        marks = by_marks(first, free, contacts=True).adjusted()
+        marks = boards_alone(first, free, contacts=True).adjusted()
         points = self._points(first, belts, observed.stripe_count)
         found = adjusted_rays(marks, points, count)
         missing = int(np.isnan(found.lines[:, 0]).sum())

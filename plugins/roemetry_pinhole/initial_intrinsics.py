@@ -156,7 +156,7 @@ def _solved(
     # the sixth order and the rational model come in by the joint adjustment: from a start without them it
     # goes to the right minimum
     free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(_SIMPLER[lens])
-    found = by_marks(InitialCamera(camera, views, rotation, shift), free).adjusted().geometry
+    found = boards_alone(InitialCamera(camera, views, rotation, shift), free).adjusted().geometry
     return InitialCamera(found.camera, views, found.rotation, found.shift)
 
 
@@ -200,7 +200,7 @@ def reasons(left_out: dict[str, str]) -> str:
     return "".join(f"\n  {', '.join(those)}: {why}" for why, those in each)
 
 
-def by_marks(
+def boards_alone(
     first: InitialCamera, free: Flags, *, contacts: bool = False, warped: Board | None = None
 ) -> Measured:
     """Give what boards tell of the camera and their poses without any light on them.

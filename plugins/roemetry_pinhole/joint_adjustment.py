@@ -23,7 +23,7 @@ from roemetry_pinhole.geometry import CAMERA, BoardWarp, Geometry, rays, unknown
 from roemetry_pinhole.initial_intrinsics import (
     InitialCamera,
     belt_under,
-    by_marks,
+    boards_alone,
     contacts_of,
     corners_of,
     free_numbers,
@@ -81,7 +81,9 @@ def with_known_planes(observed: CalibrationSet, camera: Floats | None, planes: F
     return measured
 
 
-def of_planes(measured: Measured, found: Adjusted, angle_std_deg: float, offset_std_mm: float) -> Floats:
+def known_planes_covariance(
+    measured: Measured, found: Adjusted, angle_std_deg: float, offset_std_mm: float
+) -> Floats:
     """Give the covariance, of planes and belt, that the known planes' own uncertainty makes.
 
     Each plane may lean about two axes through the middle of its stripe on the belt, and lie beside that
@@ -124,9 +126,9 @@ class JointAdjustment:
     pose: Integers
     """(view,) number of the view's pose in the adjustment."""
     print_share: float
-    stray_share: float
-    """print_share, stray_share: share of the boards' stripe peaks on uneven print, which are not used, and of
-    the others that is left out before the adjustment, far off its stripe."""
+    outlier_share: float
+    """print_share, outlier_share: share of the boards' stripe peaks on uneven print, which are not used, and
+    share of the others that is left out before the adjustment, far off its stripe."""
     solids: OnSolids | None
     """What solids on the belt gave, where the planes come from them; else None."""
     measured: Measured
@@ -200,10 +202,10 @@ def adjust_jointly(
             seen.left_out,
             print_contrast_max=print_contrast_max,
         )
-        if not gathered.strange:
+        if not gathered.outlying_views:
             break
-        strange = {first.views[number].name for number in gathered.strange}
-        seen.views = [view for view in seen.views if view.name not in strange]
+        outlying = {first.views[number].name for number in gathered.outlying_views}
+        seen.views = [view for view in seen.views if view.name not in outlying]
     measured = _measured(first, gathered, pose, counts, free, fit_warp=fit_warp)
     adjusted = with_disagreement(measured, measured.adjusted())
     if not fit_warp and known is None:
@@ -215,7 +217,7 @@ def adjust_jointly(
         first,
         np.unique(pose, return_inverse=True)[1],
         gathered.print_share,
-        gathered.stray_share,
+        gathered.outlier_share,
         None,
         measured,
         adjusted,
@@ -248,7 +250,7 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
     size = observed.observations[0].frame.size
     first = initial_camera(seen, size, lens, None, poses_tried(observed))
     free, count = free_numbers(lens), len(first.views)
-    found = by_marks(first, free).adjusted()
+    found = boards_alone(first, free).adjusted()
     at = found.unknowns.camera
     std = np.where(at >= 0, np.sqrt(np.diag(found.covariance)[np.maximum(at, 0)]), 0.0)
     if count >= 2 * _PARTS:
@@ -258,7 +260,7 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
             kept = part != left_out
             views = [view for view, stays in zip(first.views, kept, strict=True) if stays]
             some = InitialCamera(first.camera, views, first.rotation[kept], first.shift[kept])
-            cameras.append(by_marks(some, free).adjusted().geometry.camera)
+            cameras.append(boards_alone(some, free).adjusted().geometry.camera)
         std = np.maximum(std, np.std(cameras, axis=0) * np.sqrt(_PARTS - 1.0))
     off_px = found.corner_px[found.corner_used]
     return CameraFit(
@@ -315,7 +317,7 @@ def _by_solids(
     fit_warp: bool,
 ) -> JointAdjustment:
     """Planes from solids on the belt; boards, if there are any, tell the camera, and where the belt is."""
-    boards = by_marks(first, free, contacts=board is not None, warped=board if fit_warp else None)
+    boards = boards_alone(first, free, contacts=board is not None, warped=board if fit_warp else None)
     belt = boards.start.belt if boards.contacts.pose.size else None
     plate = observed.sphere_plate
     if solids_in(observed) or plate is None:

@@ -347,7 +347,7 @@ def _height_by_parameter(calibration: Calibration, height_mm: float) -> Floats:
     return by_parameter(calibration, lambda drawn: points_of(drawn, *places)[:, 2].mean()) / height_mm
 
 
-def check_beside_solids(
+def with_solid_checks(
     calibration: Calibration, observed: CalibrationSet, made: Callable[[CalibrationSet], Calibration]
 ) -> dict[str, Any]:
     """Give residuals and notes of a calibration from solids with what its other targets say."""

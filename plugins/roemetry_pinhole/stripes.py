@@ -195,12 +195,12 @@ class Gathered:
     belt: Floats | None
     """(3,) a first estimate of the belt from the empty belt's images; None without any."""
     print_share: float
-    stray_share: float
-    """print_share, stray_share: share of the boards' peaks that is not used because the print under the
+    outlier_share: float
+    """print_share, outlier_share: share of the boards' peaks that is not used because the print under the
     stripe is uneven, and of the others because it is far off its stripe."""
     sizes: Floats
     """(board,) a first estimate of how much larger each print is than described."""
-    strange: tuple[int, ...] = ()
+    outlying_views: tuple[int, ...] = ()
     """Views whose stripes contradict the others', by number: their marks are not to be trusted either."""
 
 
@@ -283,9 +283,9 @@ def gather(
         planes=numbered.planes,
         belt=belt,
         print_share=1.0 - on_even / max(on_stripes, 1),
-        stray_share=1.0 - kept / max(on_even, 1),
+        outlier_share=1.0 - kept / max(on_even, 1),
         sizes=sizes,
-        strange=tuple(
+        outlying_views=tuple(
             one.number for one, pose in zip(found, poses, strict=True) if pose.name in numbered.moved
         ),
     )

@@ -66,8 +66,8 @@ _GRAZING_MIN = 0.02
 px is then 10 mm of height and more."""
 _USED_MIN = 0.75
 """Share of marks, and of stripe peaks on even print, that must fit. Least squares after trimming at 4.5
-standard deviations holds up to about a third of strays."""
-_STRIPE_USED_MIN = 0.5  # the same of each stripe alone: with less, what is left may be the strays
+standard deviations holds up to about a third of outliers."""
+_STRIPE_USED_MIN = 0.5  # the same of each stripe alone: with less, what is left may be the outliers
 _SYSTEMATIC_TOLD_PX = 0.05  # from here on a shared error is told: half the noise of a mark
 _CONFLICT_LITTLE = 10.0
 """Up to here stripes pull camera and poses off the marks by about three standard deviations in all."""
@@ -138,7 +138,7 @@ def judged(joined: JointAdjustment, *, scale_is_known: bool = True) -> Verdict:
         "stripes_rms_px": _rms(adjusted.stripe_px[used]),
         "stripes_rms_mm": _rms(plane_distances(adjusted.geometry, joined.measured.points)[used]),
         "stripes_over_stated": adjusted.stripe_scale,
-        "stripes_left_out": _stray_share(joined),
+        "stripes_left_out": _outlier_share(joined),
         "stripes_on_uneven_print": joined.print_share,
         "stripes_correlation": adjusted.correlation,
         "poses_over_stated": float(np.sqrt(adjusted.disagreement)),
@@ -210,17 +210,17 @@ def _check_planes_pass_by(adjusted: Adjusted) -> None:
         )
 
 
-def _stray_share(joined: JointAdjustment) -> float:
+def _outlier_share(joined: JointAdjustment) -> float:
     """Share of the stripe peaks that are left out as far off, those on uneven print apart."""
     used = joined.adjusted.stripe_used
-    return 1.0 - (1.0 - joined.stray_share) * (float(used.mean()) if used.size else 1.0)
+    return 1.0 - (1.0 - joined.outlier_share) * (float(used.mean()) if used.size else 1.0)
 
 
 def _check_used(joined: JointAdjustment) -> None:
     """Refuse where too much was left out as far off."""
     adjusted, stripe = joined.adjusted, joined.measured.points.stripe
     marks = 1.0 - float(adjusted.corner_used.mean()) if adjusted.corner_used.size else 0.0
-    shares = [("board corners", marks, _USED_MIN), ("stripe peaks", _stray_share(joined), _USED_MIN)]
+    shares = [("board corners", marks, _USED_MIN), ("stripe peaks", _outlier_share(joined), _USED_MIN)]
     for number in np.unique(stripe):
         left = 1.0 - float(adjusted.stripe_used[stripe == number].mean())
         shares.append((f"peaks of stripe {number + 1}", left, _STRIPE_USED_MIN))
@@ -514,7 +514,7 @@ def _figures(
             f"{means.size} boards; at most a thousandth of the height range",
             thousandth_mm,
         )
-    found["strays"] = EvidenceFigure(
+    found["outliers"] = EvidenceFigure(
         "stripe peaks left out as far off",
         residuals["stripes_left_out"],
         "1",
@@ -565,7 +565,7 @@ def _verdict(
         "bias": "Held-out boards lie at wrong heights: a bent board, or too few poses.",
         "agree": "Stripes contradict each other by {:.0f} µm on one surface: steps between stripes of that "
         "size are the calibration's, not the product's.",
-        "strays": "{:.0%} of the stripe peaks on even print are far off and not used: look at the laser "
+        "outliers": "{:.0%} of the stripe peaks on even print are far off and not used: look at the laser "
         "images for reflections, a lamp, or a board that moved.",
         "noise": "Stripe peaks scatter {:.1f} times as much as the extractor states: what is stated of "
         "heights by their peaks is too small by so much.",
@@ -584,6 +584,6 @@ def _rms(values: Floats) -> float:
 
 
 def _robust_rms(values: Floats) -> float:
-    """Rms without what is beyond six times the median: strays are left out of the adjustment as well."""
+    """Rms without what is beyond six times the median: outliers are left out of the adjustment as well."""
     size = np.abs(values)
     return _rms(values[size <= 6.0 * max(float(np.median(size)), 1e-12)])

@@ -110,7 +110,7 @@ def overview(run: Run, products_max: int, worst_max: int) -> Overview:
                     of_kind.append(replace(together, why=f"an example of {kind}"))
         if index < products_max:
             first.append(together)
-        elif worst_max and (bad := max(map(badness, together.rows))) > 0:
+        elif worst_max and (bad := max(map(severity, together.rows))) > 0:
             suspects.append((-bad, index, replace(together, why=FAULTY)))
             if len(suspects) > _SUSPECTS_PER_PLACE * worst_max:
                 suspects = sorted(suspects)[: len(suspects) // 2]
@@ -140,7 +140,7 @@ def overview(run: Run, products_max: int, worst_max: int) -> Overview:
 FAULTY = "shown for its faults"
 
 
-def badness(row: Measurement) -> float:
+def severity(row: Measurement) -> float:
     """How much a row wants looking at: failed most, then the larger of ambiguous and not seen shares."""
     if row.status == "failed":
         return 2.0

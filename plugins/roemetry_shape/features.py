@@ -157,7 +157,7 @@ def _above_foot(sections: Sections) -> Sections:
     Where a section's last lit row lies on its steep foot is a matter of light: an edge that is seen 1 mm
     farther out moves the middle by half of it, and a dome off its middle leans.
     """
-    middle, half, height = from_foot_to_foot(
+    middle, half, height = above_foot(
         sections.height_mm, sections.across_mm, sections.middle_mm, sections.half_width_mm
     )
     return sections._replace(
@@ -166,7 +166,7 @@ def _above_foot(sections: Sections) -> Sections:
 
 
 @float_kernel
-def from_foot_to_foot(
+def above_foot(
     height_mm: Floats, across_mm: Floats, middle_mm: Floats, half_width_mm: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Give (section, 2) middles, (section,) half widths and (section, sample) heights above the foot."""

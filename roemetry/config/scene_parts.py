@@ -172,7 +172,7 @@ class LaserPart(Part):
         return self.planes if self.belt_x_mm is None else len(self.belt_x_mm)
 
     @property
-    def feet_mm(self) -> NDArray[np.float64]:
+    def lines_x_mm(self) -> NDArray[np.float64]:
         """X of each plane at Y = 0, Z = 0, shape (count,)."""
         if self.belt_x_mm is not None:
             return np.array(self.belt_x_mm, dtype=np.float64)

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from roemetry.errors import RoemetryError
 from roemetry.stages import Stage, StageOptions
 from roemetry.testing.cases import cases_for
-from roemetry.testing.verdict import NotKeptError, difference, require
+from roemetry.testing.verdict import CheckFailedError, difference, require
 
 _THREADS = 4  # at once: enough to meet each other on two cores
 
@@ -63,7 +63,7 @@ def check_crosses_to_another_process(stage: Stage[Any]) -> None:
     try:
         other = pickle.loads(pickle.dumps(stage))
     except Exception as error:
-        raise NotKeptError(f"it cannot be pickled: {type(error).__name__}: {error}") from error
+        raise CheckFailedError(f"it cannot be pickled: {type(error).__name__}: {error}") from error
     case = cases_for(stage).ordinary
     _agree(case.call(stage), case.call(other), "the pickled stage gives another result")
 
@@ -97,7 +97,7 @@ def check_options_are_frozen_and_closed(stage: Stage[Any]) -> None:
         type(options).model_validate({**options.model_dump(), "no_such_option": 1})
     except ValidationError:
         return
-    raise NotKeptError("an option that does not exist is accepted without an error")
+    raise CheckFailedError("an option that does not exist is accepted without an error")
 
 
 def check_every_option_is_described(stage: Stage[Any]) -> None:

@@ -22,7 +22,7 @@ from roemetry.testing.solids import (
     product_of,
     reordered,
 )
-from roemetry.testing.verdict import NotKeptError, difference, refused, require
+from roemetry.testing.verdict import CheckFailedError, difference, refused, require
 
 _ORDER_TOLERANCE = 1e-9  # relative: sums in another order round otherwise
 _MIRROR_TOLERANCE = 1e-3  # relative: rows fall elsewhere on the mirrored body
@@ -131,7 +131,7 @@ def stated_or_nan(estimate: Estimate) -> None:
     for cause, std in {"all": estimate.std, **estimate.budget}.items():
         require(math.isnan(std) or std >= 0.0, f"the standard uncertainty ({cause}) is {std:.4g}")
     if estimate.std == 0.0:
-        raise NotKeptError("the standard uncertainty is 0; what is not modelled is NaN")
+        raise CheckFailedError("the standard uncertainty is 0; what is not modelled is NaN")
 
 
 def _known(estimator: VolumeEstimator[Any], solid: Solid) -> None:

@@ -20,7 +20,7 @@ from roemetry_pinhole.verdict import judged
 RIG = SimulatedRig(1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=(-0.2, 0.1, 0.0, 0.0, 0.0), stripes=5, poses=10)
 
 
-def joint_of(seen: Shown, stray_share: float = 0.0) -> JointAdjustment:
+def joint_of(seen: Shown, outlier_share: float = 0.0) -> JointAdjustment:
     free = unknowns_of(seen.geometry, free_camera=np.arange(CAMERA) < 9, planes=True, belt=True, travel=False)
     measured = Measured(seen.geometry, free, seen.corners, seen.points, seen.contacts, 0.03)
     board = Board(
@@ -35,7 +35,7 @@ def joint_of(seen: Shown, stray_share: float = 0.0) -> JointAdjustment:
     pose = np.arange(len(views))
     adjusted = measured.adjusted()
     return JointAdjustment(
-        board, RIG.image_size, Seen(), first, pose, 0.0, stray_share, None, measured, adjusted, moves=False
+        board, RIG.image_size, Seen(), first, pose, 0.0, outlier_share, None, measured, adjusted, moves=False
     )
 
 
@@ -110,8 +110,8 @@ def test_what_is_not_one_rigid_rig_is_refused(rng) -> None:
 
 def test_peaks_left_out_beforehand_count_as_left_out(rng) -> None:
     seen = few_errors(rng)
-    assert judged(joint_of(seen, stray_share=0.2)).residuals["stripes_left_out"] == pytest.approx(
+    assert judged(joint_of(seen, outlier_share=0.2)).residuals["stripes_left_out"] == pytest.approx(
         0.2, abs=0.02
     )
     with pytest.raises(CalibrationError, match="40% of the stripe peaks do not fit"):
-        judged(joint_of(seen, stray_share=0.4))
+        judged(joint_of(seen, outlier_share=0.4))
