@@ -121,7 +121,7 @@ _TEXT = """\
 
 `learned`, {n} products of each kind, seeds {first} to {last}, on rigs similar to the recipe's. Foods are as
 simulated; geometric bodies have lengths, widths and heights drawn from the ranges of skeins (70 to 105,
-20 to 34, 10 to 20 mm), and lie as skeins do. Products that the coder refused, or that fewer than three stripes
-cross, get no class and are not counted. Measures and features were chosen on products of seeds 64000 to 64023,
-with geometric bodies of one size.
+20 to 34, 10 to 20 mm), and lie as skeins do. Products that the coder refused, or that fewer than three
+stripes cross, get no class and are not counted. Measures and features were chosen on products of seeds
+64000 to 64023, with geometric bodies of one size.
 """
