@@ -15,7 +15,7 @@ from benchmarks.command import parser_of
 from benchmarks.simulated_points import Shown, SimulatedRig, noisy, shown
 from benchmarks.tables import table
 from roemetry.records.arrays import Floats
-from roemetry_pinhole.bundle import Adjusted, Problem, Weights, adjust, inverse
+from roemetry_pinhole.bundle import Problem, Weights, adjust, inverse
 from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns, undistort, unknowns_of
 from roemetry_pinhole.pinhole_plane import belt_pose
 
@@ -60,7 +60,9 @@ def _row(name: str, stripes: int, repeats: int, seed: int) -> list[str]:
     for _ in range(repeats):
         seen = noisy(exact, rng, MARK_PX, STRIPE_PX, CONTACT_MM)
         begin = time.perf_counter()
-        found = _adjusted(seen, exact.geometry, free)
+        found = adjust(
+            exact.geometry, free, seen.corners, seen.points, seen.contacts, contact_std_mm=CONTACT_MM
+        )
         seconds.append(time.perf_counter() - begin)
         off = found.geometry.planes - exact.geometry.planes
         covariance = found.covariance[free.planes[:, :, None], free.planes[:, None, :]]
@@ -76,10 +78,6 @@ def _row(name: str, stripes: int, repeats: int, seed: int) -> list[str]:
         f"{np.median(ratio):.2f} ({ratio.min():.2f}–{ratio.max():.2f})",
         f"{1e3 * statistics.median(seconds):.0f}",
     ]  # fmt: skip
-
-
-def _adjusted(seen: Shown, start: Geometry, free: Unknowns) -> Adjusted:
-    return adjust(start, free, seen.corners, seen.points, seen.contacts, contact_std_mm=CONTACT_MM)
 
 
 def _bound(exact: Shown, free: Unknowns) -> Floats:

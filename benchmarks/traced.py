@@ -113,7 +113,7 @@ def traced(
             products = split_products(lift(WindowTracking().code(peaks, known), known), (), known, str(seed))
         except StageError as error:
             refused, products = refused or str(error), ()
-        found.append(max(products, key=_points, default=None))
+        found.append(max(products, key=lambda one: (one.profiles.product == one.number).sum(), default=None))
     return Traced(seed, on, drawn, crossings, found[0], found[1], refused)
 
 
@@ -124,10 +124,6 @@ def block_calibration(rig: CodingRig) -> Calibration:
     exact, omega = rig.calibration(), _BLOCK_MM / offset_px
     parameters = {**exact.parameters, "omega_mm_per_px": omega}
     return replace(exact, parameters=parameters, displacement_px_per_mm=1.0 / omega)
-
-
-def _points(product: Product) -> int:
-    return int((product.profiles.product == product.number).sum())
 
 
 def _at_whole_pixels(peaks: Peaks) -> Peaks:

@@ -131,7 +131,8 @@ def overview(run: Run, products_max: int, worst_max: int) -> Overview:
         rows=tuple(rows),
         common=common if common and statuses["measured"] > 1 else (),
         shown=(*shown.values(), *worst[:worst_max]),
-        calibrated=_calibrated(run.provenance, finite),
+        calibrated=finite
+        or any(run.provenance.get(key) is not None for key in ("calibration_sha256", "calibration")),
         quantities=seen.quantities() if long else (),
         causes=seen.causes() if long else (),
     )
@@ -155,10 +156,6 @@ def severity(row: Measurement) -> float:
     else:
         unseen = 0.0
     return max(ambiguous, unseen)
-
-
-def _calibrated(provenance: Mapping[str, object], finite: bool) -> bool:
-    return finite or any(provenance.get(key) is not None for key in ("calibration_sha256", "calibration"))
 
 
 _FULL_REASONS = 3

@@ -143,7 +143,7 @@ def features_of(cuts: Sections) -> dict[str, float]:
     return {
         **_size(frame),
         **_axis(body),
-        **_lean(body),
+        **dict(zip(_LEAN, lean_numbers(body.height_mm, body.half_width_mm), strict=True)),
         **_hollows(body),
         **_pits(body),
         **_runs(body),
@@ -335,11 +335,6 @@ _LEAN = (
     "twist_deg", "twist_of_ends_deg", "twist_of_flanks_deg", "lean_range_deg", "lean_uneven_deg",
     "stoutness_spread",
 )  # fmt: skip
-
-
-def _lean(sections: Sections) -> dict[str, float]:
-    """Lean of the sections to one side, and how it changes along: twist."""
-    return dict(zip(_LEAN, lean_numbers(sections.height_mm, sections.half_width_mm), strict=True))
 
 
 @float_kernel

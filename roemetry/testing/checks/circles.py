@@ -91,7 +91,8 @@ def check_circles_far_off_are_refused(aligner: Aligner[Any]) -> None:
 def check_a_belt_without_circles_is_told(aligner: Aligner[Any]) -> None:
     """Where no circle is seen there is no correction, and a reason says that nothing was compared."""
     rig = CircleRig()
-    found = aligner.align(_none(rig), rig.circle_calibration(), moved_circles)
+    nothing = rig.circle_peaks(np.full((rig.stripes, rig.rows), np.nan))[0]
+    found = aligner.align(nothing, rig.circle_calibration(), moved_circles)
     require(not found.moved, "it corrects by a belt that is not seen")
     require(bool(found.reasons), "it says nothing of a belt that is not seen")
 
@@ -209,7 +210,3 @@ def check_a_wrong_number_of_circles_is_refused(calibrator: Calibrator[Any]) -> N
     ):
         with refused(what, CalibrationError):
             calibrator.calibrate(other)
-
-
-def _none(rig: CircleRig) -> Any:
-    return rig.circle_peaks(np.full((rig.stripes, rig.rows), np.nan))[0]
