@@ -15,7 +15,7 @@ from benchmarks.command import parser_of
 from benchmarks.simulated_points import Shown, SimulatedRig, noisy, shown
 from benchmarks.tables import table
 from roemetry.records.arrays import Floats
-from roemetry_pinhole.bundle import Adjusted, Problem, Weights, adjust, inverse
+from roemetry_pinhole.bundle import Problem, Weights, adjust, inverse
 from roemetry_pinhole.geometry import CAMERA, Geometry, Unknowns, undistort, unknowns_of
 from roemetry_pinhole.pinhole_plane import belt_pose
 
@@ -30,7 +30,7 @@ RIGS = {
         800.0, 240.0, tilt_deg=(15.0, 10.0), lens=(-0.25, 0.09, -0.001, 0.0005, -0.012)
     ),
 }
-MARK_PX, STRIPE_PX, FOOT_MM = 0.08, 0.15, 0.03
+MARK_PX, STRIPE_PX, CONTACT_MM = 0.08, 0.15, 0.03
 FREE = np.arange(CAMERA) < 9
 
 
@@ -58,9 +58,11 @@ def _row(name: str, stripes: int, repeats: int, seed: int) -> list[str]:
     truth = _heights(exact.geometry, exact, at)
     squares, planes, heights, stated, seconds = [], [], [], [], []
     for _ in range(repeats):
-        seen = noisy(exact, rng, MARK_PX, STRIPE_PX, FOOT_MM)
+        seen = noisy(exact, rng, MARK_PX, STRIPE_PX, CONTACT_MM)
         begin = time.perf_counter()
-        found = _adjusted(seen, exact.geometry, free)
+        found = adjust(
+            exact.geometry, free, seen.corners, seen.points, seen.contacts, contact_std_mm=CONTACT_MM
+        )
         seconds.append(time.perf_counter() - begin)
         off = found.geometry.planes - exact.geometry.planes
         covariance = found.covariance[free.planes[:, :, None], free.planes[:, None, :]]
@@ -78,16 +80,12 @@ def _row(name: str, stripes: int, repeats: int, seed: int) -> list[str]:
     ]  # fmt: skip
 
 
-def _adjusted(seen: Shown, start: Geometry, free: Unknowns) -> Adjusted:
-    return adjust(start, free, seen.corners, seen.points, seen.feet, foot_std_mm=FOOT_MM)
-
-
 def _bound(exact: Shown, free: Unknowns) -> Floats:
     """Covariance that the Jacobian at the truth and the true noise give."""
     weights = Weights(
         MARK_PX, STRIPE_PX, np.ones(exact.corners.pose.size), np.ones(exact.points.pose.size), robust=False
     )
-    problem = Problem(free, exact.corners, exact.points, exact.feet, FOOT_MM, weights)
+    problem = Problem(free, exact.corners, exact.points, exact.contacts, CONTACT_MM, weights)
     return inverse(problem.normal(exact.geometry)[0])
 
 

@@ -24,8 +24,15 @@ from roemetry.records.arrays import Floats
 from roemetry.stages.registry import discover
 from roemetry_pinhole.boards import BoardNotFoundError, BoardView, Seen, board_views, find_marks
 from roemetry_pinhole.bundle import Adjusted, adjust, chosen
-from roemetry_pinhole.geometry import Corners, Feet, Geometry, StripePoints, plane_distances, unknowns_of
-from roemetry_pinhole.initial_intrinsics import FirstCamera, first_camera, free_numbers
+from roemetry_pinhole.geometry import (
+    BeltContacts,
+    Corners,
+    Geometry,
+    StripePoints,
+    plane_distances,
+    unknowns_of,
+)
+from roemetry_pinhole.initial_intrinsics import InitialCamera, free_numbers, initial_camera
 from roemetry_pinhole.stripes import Gathered, gather
 
 AUTHORS_PLANE = np.array([-1.3051671468331907e-01, -6.3959525011364002e00, 1.0])
@@ -56,7 +63,7 @@ def _boards(folder: Path, extractor: str, channel: str, contrast: float) -> None
     seen = Seen()
     board_views(observed, seen)
     size = observed.observations[0].frame.size
-    first = first_camera(seen, size, "brown", None, 12)
+    first = initial_camera(seen, size, "brown", None, 12)
     gathered = gather(first, (), 1, np.zeros(len(first.views)), {}, print_contrast_max=contrast)
     found = _adjusted(first, gathered.planes, gathered.points)
     off = plane_distances(found.geometry, gathered.points)
@@ -89,7 +96,7 @@ def _observed(folder: Path, extractor: str, channel: str) -> CalibrationSet:
         return observe(Rig.load(path), discover())[0]
 
 
-def _adjusted(first: FirstCamera, planes: Floats, points: StripePoints) -> Adjusted:
+def _adjusted(first: InitialCamera, planes: Floats, points: StripePoints) -> Adjusted:
     """Adjust camera, poses and planes; there is no belt, and no board lies on one."""
     start = Geometry(first.camera, first.rotation, first.shift, planes, np.full(3, np.nan), np.zeros(3))
     free = unknowns_of(
@@ -103,7 +110,9 @@ def _adjusted(first: FirstCamera, planes: Floats, points: StripePoints) -> Adjus
         np.zeros(sum(size)),
         np.zeros(sum(size), np.int64),
     )
-    return adjust(start, free, corners, points, Feet(NOBODY, np.empty((0, 3)), np.empty(0)), foot_std_mm=1.0)
+    return adjust(
+        start, free, corners, points, BeltContacts(NOBODY, np.empty((0, 3)), np.empty(0)), contact_std_mm=1.0
+    )
 
 
 def _to_author_deg(plane: Floats) -> float:
@@ -113,7 +122,7 @@ def _to_author_deg(plane: Floats) -> float:
     return float(np.degrees(np.arccos(min(abs(own @ author), 1.0))))
 
 
-def _left_out(first: FirstCamera, gathered: Gathered) -> float:
+def _left_out(first: InitialCamera, gathered: Gathered) -> float:
     """Distance of each pose's points from the plane that the other poses give, camera and poses alike."""
     off, points = [], gathered.points
     for pose in range(len(first.views)):
@@ -136,7 +145,7 @@ def _chessboard(folder: Path) -> None:
             seen.left_out[path.name] = str(error)
             continue
         seen.views.append(BoardView(path.name, marks, None, None, on_belt=False, count=np.nan, board=board))
-    first = first_camera(seen, size, "brown", None, len(files))
+    first = initial_camera(seen, size, "brown", None, len(files))
     none = np.empty(0)
     nothing = StripePoints(NOBODY, NOBODY, none, none, none, none)
     found = _adjusted(first, np.empty((0, 3)), nothing)

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.command import parser_of
 from benchmarks.patterns import (
     DOTS,
     FAMILIES,
@@ -19,6 +18,7 @@ from benchmarks.patterns import (
     PAGE,
     VOLUME_HEAD,
     Volumes,
+    arguments,
     judged_lines,
     off_cells,
     rendered,
@@ -36,14 +36,7 @@ _LIGHT = "simulator.options.laser.peak_e_per_ms=1250"
 
 def main() -> None:
     """Measure, print, and write the page's tables if wanted."""
-    parser = parser_of(__doc__)
-    parser.add_argument("--seed", type=int, default=32000, help="first seed of products")
-    parser.add_argument("--count", type=int, default=2, help="products of each family")
-    parser.add_argument(
-        "--images", type=Path, default=Path("build/patterns"), help="folder of rendered images"
-    )
-    parser.add_argument("--write", action="store_true", help=f"write the tables of {PAGE}")
-    given = parser.parse_args()
+    given = arguments(__doc__)
     parts = measured(given.seed, given.count, given.images)
     tell(parts, PAGE if given.write else None)
 

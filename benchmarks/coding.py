@@ -362,10 +362,10 @@ class Part(NamedTuple):
 PARTS: dict[str, Part] = {
     "easy": Part("Skeins, 11 stripes, displaced by up to 1.3 spacings", lambda r, g: _skeins(r, g, "easy")),
     "dense": Part("Skeins, 21 stripes, displaced by up to 2.5 spacings", lambda r, g: _skeins(r, g, "dense")),
-    "breaking": Part("Until it breaks: stripes put closer, skeins made taller", _breaking),
+    "breaking": Part("Limits: denser stripes, taller skeins", _breaking),
     "shapes": Part("Other shapes", _shapes),
-    "dead": Part("A dead stripe: noticed and named?", _dead),
-    "cases": Part("Known to be hard: the scenes of the tests", _cases),
+    "dead": Part("A dead stripe", _dead),
+    "cases": Part("Difficult scenes: those of the tests", _cases),
     "images": Part(f"Rendered images: {_RENDERED}", _images),
     "speed": Part("Time of a frame", lambda r, g: iter(())),
 }
@@ -435,11 +435,11 @@ def _margins(results: Results, pictures: Path) -> str:
     if lines:
         curves(pictures / "coding-margin.svg", lines, "stated margin", "share that is wrong", low=_WRONG_LOW)
     return "" if not rows else (
-        "## Margin against error\nAll skeins and damages of the first two sections; classes of "
-        f"{_DRAWN_MIN} labels or more are drawn, and what is never wrong stands on the floor.\n\n"
+        "## Margin against error\n\nAll skeins and damages of the first two sections. Classes of "
+        f"{_DRAWN_MIN} labels or more are drawn; those without a wrong label lie on the lower edge.\n\n"
         "![Share of wrong labels over the stated margin](../images/coding-margin.svg)\n\n"
         + table(["rig", "coder", "margin", "labelled", "wrong", "share"], rows)
-        + "\nWhat a limit to the margin does, over all damages:\n\n"
+        + "\nEffect of a limit on the margin, over all damages:\n\n"
         + table(["rig", "coder", "labels below this refused", "labelled", "wrong of labelled"], limits)
     )  # fmt: skip
 
@@ -474,8 +474,8 @@ def _speed(results: Results) -> str:
         rows.append([f"`{coder}`", *(f"{value:.2f}" for of in times for value in of)])
     each = ["5 % quickest", "times window-tracking"]
     return (
-        "## Time of a frame\n640 × 480, time on the processor, one thread, medians of frames labelled in "
-        f"turns. Milliseconds move with the load of the machine, ratios less.\n{_about(found)}\n"
+        "## Time of a frame\n\n640 × 480, processor time of one thread, medians, coders alternating. "
+        f"Times depend on the machine's load, ratios less.\n{_about(found)}\n"
         + table(["coder", "11 stripes, ms", *each, "21 stripes, ms", *each], rows)
     )
 

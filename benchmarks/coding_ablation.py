@@ -172,8 +172,8 @@ def page(found: dict[str, dict[str, list[int]]]) -> str:
     lines = [
         "# Ablation of the coder `planes`",
         "",
-        "Made by `python -m benchmarks coding_ablation RIGS --out docs/measurements`. Each line leaves one",
-        "rule or cost term away. In each cell: product points labelled right, %, and wrong labels.",
+        "Made by `python -m benchmarks coding_ablation RIGS --out docs/measurements`. Each line omits one",
+        "rule or cost term. Each cell: correctly labelled product points, %, and number of wrong labels.",
         "",
         "| without | " + " | ".join(f"{group} ({points[group][0]:,} points)" for group in groups) + " |",
         "|---" * (len(groups) + 1) + "|",

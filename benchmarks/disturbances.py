@@ -428,8 +428,8 @@ def _mm(options: Options, size_px: float) -> float:
 def _laser_shifted(options: Options, size_px: float) -> dict[str, Any]:
     part, shift = options["laser"], _mm(options, size_px)
     x, y, z = part["projector_mm"]
-    feet = [foot + shift for foot in part["belt_x_mm"]]
-    return {**options, "laser": {**part, "projector_mm": (x + shift, y, z), "belt_x_mm": feet}}
+    lines_x = [x_mm + shift for x_mm in part["belt_x_mm"]]
+    return {**options, "laser": {**part, "projector_mm": (x + shift, y, z), "belt_x_mm": lines_x}}
 
 
 def _laser_turned(options: Options, size_px: float) -> dict[str, Any]:
@@ -439,9 +439,9 @@ def _laser_turned(options: Options, size_px: float) -> dict[str, Any]:
 
 def _plane_moved(options: Options, size_px: float) -> dict[str, Any]:
     part = options["laser"]
-    feet = list(part["belt_x_mm"])
-    feet[len(feet) // 2] += _mm(options, size_px)
-    return {**options, "laser": {**part, "belt_x_mm": feet}}
+    lines_x = list(part["belt_x_mm"])
+    lines_x[len(lines_x) // 2] += _mm(options, size_px)
+    return {**options, "laser": {**part, "belt_x_mm": lines_x}}
 
 
 MOTIONS: dict[str, Motion] = {

@@ -80,7 +80,7 @@ def unknown(finding: list[Method], count: int, seed: int) -> list[Table]:
     if not finding:
         return []
     table = precision(finding, count, seed, known=False)
-    return [replace(table, title=f"The same with nothing told about the sensor's noise. {table.title}")]
+    return [replace(table, title=f"The same without data on the sensor's noise. {table.title}")]
 
 
 def timed(judged: list[Method], seed: int) -> list[Method]:

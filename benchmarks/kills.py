@@ -64,7 +64,7 @@ def killed(recipe: Recipe, folder: Path, kills: int, seed: int) -> tuple[list[st
         if lost := before - there:
             faults.append(f"kill {number + 1}: lost {', '.join(sorted(lost))}")
         before = there
-        processes = [one for one in processes if not _ended(one)]
+        processes = [one for one in processes if os.waitpid(one, os.WNOHANG)[0] != one]
         if there == set(expected):  # begin anew, once the other has let go
             for one in processes:
                 os.waitpid(one, 0)
@@ -94,10 +94,6 @@ def _begun(recipe: Recipe, target: Path) -> int:
             time.sleep(0.01)
         except BaseException:
             os._exit(1)
-
-
-def _ended(process: int) -> bool:
-    return os.waitpid(process, os.WNOHANG)[0] == process
 
 
 def _held(target: Path) -> tuple[set[str], list[str]]:

@@ -185,8 +185,8 @@ def draw_rig(rng: np.random.Generator, kind: str, *, boards: int, scale: float =
 
 def draw_bodies(rng: np.random.Generator, maker: str, count: int, scene: Mapping[str, Any]) -> list[Body]:
     """Choose the products: good skeins, skeins with a defect, and other shapes between them."""
-    feet = scene["laser"]["belt_x_mm"]
-    reach = min(feet[-1] - feet[0] + 8.0, 108.0)
+    lines_x = scene["laser"]["belt_x_mm"]
+    reach = min(lines_x[-1] - lines_x[0] + 8.0, 108.0)
     long = [0.76 * reach, 0.97 * reach]
     if maker == "mitsuba":
         defects = [str(d) for d in rng.permutation(["dented", "bent", "twisted", "folded", "broken"])]

@@ -257,7 +257,7 @@ def weights(rows: Sequence[Row]) -> str:
         ])  # fmt: skip
     head = ["cause", "mean (95 %)", "standard deviation", "95 % of skeins", "spread of all without it"]
     return (
-        f"All {len(weighed)} that were weighed: mean absolute error {np.abs(whole).mean():.1f} %, "
+        f"All {len(weighed)} weighed skeins: mean absolute error {np.abs(whole).mean():.1f} %, "
         f"from {whole.min():+.1f} % to {whole.max():+.1f} %.\n\n{table(head, lines)}"
     )
 

@@ -7,6 +7,7 @@ and used again.
 
 from __future__ import annotations
 
+import argparse
 import pickle
 import time
 from collections.abc import Sequence
@@ -41,16 +42,21 @@ VOLUME_HEAD = (
 
 def main() -> None:
     """Measure, print, and write the page's tables if wanted."""
-    parser = parser_of(__doc__)
+    given = arguments(__doc__)
+    asked = given.seed, given.count, given.images
+    tell({"labels": labels(*asked), "volumes": volumes(*asked)}, PAGE if given.write else None)
+
+
+def arguments(description: str | None) -> argparse.Namespace:
+    """Read the command line of a benchmark of patterns."""
+    parser = parser_of(description)
     parser.add_argument("--seed", type=int, default=32000, help="first seed of products")
     parser.add_argument("--count", type=int, default=2, help="products of each family")
     parser.add_argument(
         "--images", type=Path, default=Path("build/patterns"), help="folder of rendered images"
     )
     parser.add_argument("--write", action="store_true", help=f"write the tables of {PAGE}")
-    given = parser.parse_args()
-    asked = given.seed, given.count, given.images
-    tell({"labels": labels(*asked), "volumes": volumes(*asked)}, PAGE if given.write else None)
+    return parser.parse_args()
 
 
 def tell(parts: dict[str, str], page: Path | None) -> None:

@@ -130,7 +130,8 @@ def made(home: Path, seed: int, count: int, jobs: int = 1, *, draft: bool = Fals
 def rows(recipe: Recipe, folder: Path) -> Iterator[Row]:
     """Measure the products of a folder, each beside its truth; one that was missed has a row too."""
     own = recipe.source.make() if folder == recipe.source_path else DatasetSource()
-    data, pipeline = Dataset(_home(folder)), Pipeline(recipe)
+    home = folder if (folder / "dataset.yaml").is_file() else folder.parent
+    data, pipeline = Dataset(home), Pipeline(recipe)
     truths = {item.id: data.truth(item) for item in data.items()}
     for reference in own.references(folder):
         trace, known = pipeline.trace(own.read(reference)), truths[reference.id]
@@ -202,11 +203,6 @@ def grades(found: Sequence[Row]) -> str:
         f"(of those that a stripe shows by {SHOWN_MM:g} mm {share(sum(shown), len(shown))}), "
         f"balanced accuracy {0.5 * (np.mean(good) + np.mean(caught)):.3f}"
     )
-
-
-def _home(folder: Path) -> Path:
-    """Give the data set's folder: that of the images, or the one they lie in."""
-    return folder if (folder / "dataset.yaml").is_file() else folder.parent
 
 
 def _highest(one: ProductTrace | None) -> float:

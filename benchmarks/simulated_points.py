@@ -10,8 +10,8 @@ from roemetry.records.arrays import Floats
 from roemetry_pinhole.bundle import chosen
 from roemetry_pinhole.geometry import (
     ON_BELT,
+    BeltContacts,
     Corners,
-    Feet,
     Geometry,
     StripePoints,
     corner_residuals,
@@ -53,13 +53,13 @@ class Shown:
     geometry: Geometry
     corners: Corners
     points: StripePoints
-    feet: Feet
+    contacts: BeltContacts
 
 
 def shown(rig: SimulatedRig, rng: np.random.Generator) -> Shown:
     """Draw poses, and give what is seen of them.
 
-    With one stripe the empty belt tells nothing of its tilt: then the first board's feet do.
+    With one stripe the empty belt tells nothing of its tilt: then the first board's contacts do.
     """
     turn = turned(np.radians([[rig.tilt_deg[0], 0.0, 0.0], [0.0, rig.tilt_deg[1], 0.0]]))
     rotation = turn[0] @ turn[1] @ np.diag([1.0, -1.0, -1.0])
@@ -83,25 +83,27 @@ def shown(rig: SimulatedRig, rng: np.random.Generator) -> Shown:
     corners = _corners(geometry, rig.image_size, pitch_mm)
     points = _points(geometry, rig, pitch_mm)
     none = np.empty(0)
-    feet = Feet(none.astype(np.int64), np.empty((0, 3)), none)
+    contacts = BeltContacts(none.astype(np.int64), np.empty((0, 3)), none)
     if rig.stripes == 1:
         points = chosen(points, points.pose != ON_BELT)
         at = pitch_mm * np.array([[0.0, 0.0, 0.0], [_COLUMNS - 1.0, 0.0, 0.0], [4.5, _ROWS - 1.0, 0.0]])
-        feet = Feet(np.zeros(3, np.int64), at, np.zeros(3))
-    return Shown(geometry, corners, points, feet)
+        contacts = BeltContacts(np.zeros(3, np.int64), at, np.zeros(3))
+    return Shown(geometry, corners, points, contacts)
 
 
-def noisy(exact: Shown, rng: np.random.Generator, mark_px: float, stripe_px: float, foot_mm: float) -> Shown:
-    """Add normal noise: to marks in x and y, to stripe peaks along the row, to the heights of feet."""
-    feet = exact.feet.board_mm.copy()
-    feet[:, 2] += rng.normal(0.0, foot_mm, len(feet))
+def noisy(
+    exact: Shown, rng: np.random.Generator, mark_px: float, stripe_px: float, contact_mm: float
+) -> Shown:
+    """Add normal noise: to marks in x and y, to stripe peaks along the row, to the heights of contacts."""
+    contacts = exact.contacts.board_mm.copy()
+    contacts[:, 2] += rng.normal(0.0, contact_mm, len(contacts))
     xy = exact.corners.xy_px + rng.normal(0.0, mark_px, exact.corners.xy_px.shape)
     x = exact.points.x_px + rng.normal(0.0, stripe_px, exact.points.x_px.size)
     return replace(
         exact,
         corners=replace(exact.corners, xy_px=xy),
         points=replace(exact.points, x_px=x),
-        feet=replace(exact.feet, board_mm=feet),
+        contacts=replace(exact.contacts, board_mm=contacts),
     )
 
 
@@ -188,6 +190,6 @@ def _on_belt(geometry: Geometry, plane: Floats) -> Floats:
     """Places of one stripe on the belt, camera frame, mm."""
     along = np.cross(plane, geometry.belt)
     along /= np.linalg.norm(along)
-    foot = np.linalg.lstsq(np.stack([plane, geometry.belt, along]), np.array([1.0, 1.0, 0.0]), rcond=None)[0]
+    near = np.linalg.lstsq(np.stack([plane, geometry.belt, along]), np.array([1.0, 1.0, 0.0]), rcond=None)[0]
     away = 1.0 / float(np.linalg.norm(geometry.belt))
-    return np.asarray(foot + np.linspace(-1.0, 1.0, 2 * _WAY)[:, None] * away * along)
+    return np.asarray(near + np.linspace(-1.0, 1.0, 2 * _WAY)[:, None] * away * along)

@@ -1,18 +1,18 @@
-"""Calibrations that were spoiled on purpose: refused, told, or slipped through.
+"""Deliberately damaged calibrations: refused, reported, or missed.
 
 ``python -m benchmarks spoil [--rigs FOLDER …] [--sets WORD …] [--kinds WORD …] [--seeds 1 …]``
 
-With ``--record`` each case is written to a file of JSON lines, and what stands there is not run again.
+With ``--record`` each case is written to a file of JSON lines, and cases in the file are not run again.
 
 Sets are folders with a ``boards.yaml`` as `make_rigs` writes them, and the two real sets with a board under a
-laser (where ROEMETRY_REAL_DATA says). Each is spoiled in all ways of `SPOILED`, by image files, and goes the
-whole way of ``roemetry calibrate``; and each is changed in ways that leave it sound (`SOUND`).
+laser (in the folder ROEMETRY_REAL_DATA). Each is damaged in all ways of `SPOILED`, by its image files, and
+goes through all of ``roemetry calibrate``; and each is changed in harmless ways (`SOUND`).
 
-*Refused* and *told* count where the words name the cause: a refusal must match the kind's words, and what is
-told must name the cause, or every spoiled pose as not used. *Sound* is what nobody is told of and what needs
-no word: heights stay within three standard uncertainties, or 0.2 % of the height range, of those of the set
-as it was. All else has *slipped*. A single board's pitch is not in its images: there, what is to be told is
-that lengths rest on it alone; with the poses shared out over two boards the wrong one is to be named.
+*Refused* and *reported* count if the message names the cause: a refusal must match the kind's words, and a
+report must name the cause, or every damaged pose as not used. *Harmless* is what is not reported and need not
+be: heights stay within three standard uncertainties, or 0.2 % of the height range, of those of the unchanged
+set. All else was *missed*. A single board's pitch cannot be checked by its images: the report must say that
+lengths depend on it alone; with the poses divided between two boards it must name the wrong one.
 """
 
 from __future__ import annotations
@@ -295,7 +295,7 @@ SOUND = (
 
 
 class Outcome(NamedTuple):
-    """What came of a set: the word for it, the words it was told in, and how far heights are off, mm."""
+    """The result for a set: its class, the message, and how far heights are off, mm."""
 
     word: str
     why: str
@@ -352,13 +352,13 @@ def _chosen(name: str, words: list[str]) -> bool:
 
 
 def _table(kinds: list[Kind], done: Mapping[tuple[str, str, int], Outcome]) -> Table:
-    words = ("refused", "told", "sound", "slipped", "other words")
+    words = ("refused", "reported", "harmless", "missed", "other words")
     rows = []
     for kind in kinds:
         found = [outcome.word for (_, name, _), outcome in done.items() if name == kind.name]
         rows.append([kind.name, *(str(found.count(word)) for word in words)])
     rows.append(["all", *(str(sum(int(row[n]) for row in rows)) for n in range(1, len(words) + 1))])
-    title = "Sound" if set(kinds) <= set(SOUND) else "Spoiled"
+    title = "Harmless" if set(kinds) <= set(SOUND) else "Damaged"
     names = dict.fromkeys(name for name, _, _ in done)
     return Table(f"{title}: {', '.join(names)}", ["", *words], rows)
 
@@ -366,22 +366,22 @@ def _table(kinds: list[Kind], done: Mapping[tuple[str, str, int], Outcome]) -> T
 def judged(
     kind: Kind, found: tuple[Calibration, str] | str, sound: Calibration, spoiled: list[str]
 ) -> Outcome:
-    """Say what came of a set that was spoiled, or changed and is sound."""
+    """Classify the result for a damaged or harmlessly changed set."""
     sound_set = kind in SOUND
     if isinstance(found, str):
         right = sound_set or re.search(kind.words, found, re.DOTALL) is not None
         return Outcome("refused" if right else "other words", found, float("nan"))
     calibration = found[0]
     off_mm, near = off_by(calibration, sound)
-    # what is said of the sound set as well tells nobody anything
+    # notes that the unchanged set has as well report nothing
     usual = {re.sub(r"[\d.]+", "", note) for note in sound.notes} if kind.words != _PITCH_ALONE else set()
     said = " | ".join(one for one in calibration.notes if re.sub(r"[\d.]+", "", one) not in usual)
     if sound_set:
-        return Outcome("sound" if near else "slipped", said, off_mm)
+        return Outcome("harmless" if near else "missed", said, off_mm)
     named = [pose for pose in spoiled if re.search(rf"(not used: |between ).*?[fn]_{pose}\.", said)]
     if (spoiled and len(named) == len(spoiled)) or re.search(kind.words, said.replace("\n", " ")):
-        return Outcome("told", said, off_mm)
-    return Outcome("sound" if near else "slipped", said, off_mm)
+        return Outcome("reported", said, off_mm)
+    return Outcome("harmless" if near else "missed", said, off_mm)
 
 
 def off_by(calibration: Calibration, sound: Calibration) -> tuple[float, bool]:

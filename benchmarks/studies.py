@@ -220,8 +220,8 @@ def faulty(view: View, fault: str) -> View:
                 [[np.cos(turn), 0.0, np.sin(turn)], [0.0, 1.0, 0.0], [-np.sin(turn), 0.0, np.cos(turn)]]
             )
             normals = view.planes[:, :3] @ rotation.T
-            feet = view.planes[:, 3] / view.planes[:, 0]  # turned about where they meet the belt
-            return replace(view, planes=np.column_stack([normals, feet * normals[:, 0]]))
+            belt_x = view.planes[:, 3] / view.planes[:, 0]  # turned about where they meet the belt
+            return replace(view, planes=np.column_stack([normals, belt_x * normals[:, 0]]))
         case "scale 0.1 % off":
             pose = view.T_belt_camera.copy()
             pose[:3, 3] *= 1.001

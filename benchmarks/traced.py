@@ -113,7 +113,7 @@ def traced(
             products = split_products(lift(WindowTracking().code(peaks, known), known), (), known, str(seed))
         except StageError as error:
             refused, products = refused or str(error), ()
-        found.append(max(products, key=_points, default=None))
+        found.append(max(products, key=lambda one: (one.profiles.product == one.number).sum(), default=None))
     return Traced(seed, on, drawn, crossings, found[0], found[1], refused)
 
 
@@ -124,10 +124,6 @@ def block_calibration(rig: CodingRig) -> Calibration:
     exact, omega = rig.calibration(), _BLOCK_MM / offset_px
     parameters = {**exact.parameters, "omega_mm_per_px": omega}
     return replace(exact, parameters=parameters, displacement_px_per_mm=1.0 / omega)
-
-
-def _points(product: Product) -> int:
-    return int((product.profiles.product == product.number).sum())
 
 
 def _at_whole_pixels(peaks: Peaks) -> Peaks:
@@ -162,8 +158,8 @@ def defect_figures(one: Traced, lines: Sequence[int] = STRIPES) -> dict[str, flo
         counts as seen.
     """
     solid, whole = one.drawn.solid, one.drawn.reference
-    feet = one.rig.laser.x_mm(0.0, 0.0)
-    spacing = float(np.abs(np.diff(feet)).mean())
+    lines_x = one.rig.laser.x_mm(0.0, 0.0)
+    spacing = float(np.abs(np.diff(lines_x)).mean())
     if whole is None or one.drawn.truth.defect == "none":
         zero = {"depth_mm": 0.0, "extent_mm": 0.0, "spacings": 0.0, "shown_mm": 0.0}
         return {**zero, **{f"shown_{n}_mm": 0.0 for n in lines}}
@@ -279,19 +275,19 @@ def _held(product: Product) -> float | None:
 
 
 def _upright(one: Traced) -> tuple[float, float]:
-    """Errors, mm³, of holding upright sections at the stripes' feet: between stripes, and at both ends."""
+    """Errors, mm³, of upright sections held where stripes meet the belt: between them, and at both ends."""
     assert one.exact is not None
     profiles = one.exact.profiles
     lit = np.flatnonzero(((profiles.product == one.exact.number) & profiles.seen).any(axis=1))
     x_min, x_max, y_min, y_max = one.drawn.solid.footprint_extent_mm()
-    feet = one.rig.laser.x_mm(0.5 * (y_min + y_max), 0.0)
+    lines_x = one.rig.laser.x_mm(0.5 * (y_min + y_max), 0.0)
     # The last stripe of the fan has no next one, and its section is not counted.
-    own = np.diff(feet, append=feet[-1])
-    area = _areas(one, feet)
+    own = np.diff(lines_x, append=lines_x[-1])
+    area = _areas(one, lines_x)
     first, last = int(lit[0]), int(lit[-1])
     held = float((area * own)[first:last].sum())
-    inner = _volume(one, feet[first], feet[last])
-    outer = _volume(one, x_min, feet[first]) + _volume(one, feet[last], x_max)
+    inner = _volume(one, lines_x[first], lines_x[last])
+    outer = _volume(one, x_min, lines_x[first]) + _volume(one, lines_x[last], x_max)
     return held - inner, float(area[last] * own[last]) - outer
 
 

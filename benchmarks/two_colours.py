@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.command import parser_of
 from benchmarks.patterns import (
     DOTS,
     FAMILIES,
     VOLUME_HEAD,
     Volumes,
+    arguments,
     judged_lines,
     rendered,
     tell,
@@ -52,14 +52,7 @@ PICTURE = Path("docs/images/two-colours.svg")
 
 def main() -> None:
     """Measure, print, and write the page's tables if wanted."""
-    parser = parser_of(__doc__)
-    parser.add_argument("--seed", type=int, default=32000, help="first seed of products")
-    parser.add_argument("--count", type=int, default=2, help="products of each family")
-    parser.add_argument(
-        "--images", type=Path, default=Path("build/patterns"), help="folder of rendered images"
-    )
-    parser.add_argument("--write", action="store_true", help=f"write the tables of {PAGE}")
-    given = parser.parse_args()
+    given = arguments(__doc__)
     parts = measured(given.seed, given.count, given.images)
     parts["colours-density"] = by_density(given.seed + 100, given.images, PICTURE if given.write else None)
     tell(parts, PAGE if given.write else None)

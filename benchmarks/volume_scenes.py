@@ -113,8 +113,8 @@ def rig_of(seed: int, stripes: int = 11) -> Rig:
 def _fan(
     place: tuple[float, float, float], stripes: int, middle_mm: float, yaw_deg: float, pitch_deg: float
 ) -> LaserFan:
-    feet = middle_mm + _REACH_MM * np.linspace(-0.5, 0.5, stripes)
-    return fan_through(place, feet, yaw_deg=yaw_deg, pitch_deg=pitch_deg, sigma_mm=0.31, peak_grey=370.0)
+    lines_x = middle_mm + _REACH_MM * np.linspace(-0.5, 0.5, stripes)
+    return fan_through(place, lines_x, yaw_deg=yaw_deg, pitch_deg=pitch_deg, sigma_mm=0.31, peak_grey=370.0)
 
 
 def view_of(rig: HasLight) -> View:

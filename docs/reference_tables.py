@@ -238,7 +238,7 @@ def markdown() -> str:
 
 
 def contract(kind: str, registry: Registry) -> str:
-    """Write the page of a kind: its class, its verbs, what it must keep, and who keeps it."""
+    """Write the page of a kind: its class, methods and checks, and the stages of that kind."""
     interface = INTERFACES[kind]
     methods = [
         member
@@ -256,17 +256,17 @@ def contract(kind: str, registry: Registry) -> str:
         "",
         f"{inspect.getdoc(interface)}",
         "",
-        f"Class: `roemetry.stages.{interface.__name__}`. What is true of every stage stands under "
-        "[Conformance](../conformance.md); the records under [Records](../records.md).",
+        f"Class: `roemetry.stages.{interface.__name__}`. Checks for all stages are listed under "
+        "[Conformance](../conformance.md), records under [Records](../records.md).",
         "",
-        "## Verbs",
+        "## Methods",
         "",
         *(line for one in methods for line in _method(one)),
-        "## What it must keep",
+        "## Checks",
         "",
-        "Each line is a check of `roemetry check-plugin`.",
+        "`roemetry check-plugin` runs them.",
         "",
-        "| check | what a stage must keep |",
+        "| check | what must be true |",
         "|---|---|",
         *(f"| `{name_of(check)}` | {sentence_of(check)} |" for check in OF_KIND.get(kind, ())),
         "",
@@ -282,7 +282,7 @@ def contract(kind: str, registry: Registry) -> str:
 
 def _method(member: Any) -> list[str]:
     function: Callable[..., Any] = getattr(member, "__func__", member)
-    must = "must be written" if getattr(function, "__isabstractmethod__", False) else "may be overridden"
+    must = "required" if getattr(function, "__isabstractmethod__", False) else "optional"
     parameters = re.sub(r"(: |-> )'([^']+)'", r"\1\2", str(inspect.signature(function)))
     return [
         f"### `{function.__name__}`, {must}",
@@ -314,7 +314,7 @@ def _prose(text: str) -> str:
 
 def _checks(title: str, checks: Iterable[Check]) -> str:
     rows = [f"| `{name_of(check)}` | {sentence_of(check)} |" for check in checks]
-    return "\n".join([f"### {title}", "", "| check | what a stage must keep |", "|---|---|", *rows, ""])
+    return "\n".join([f"### {title}", "", "| check | what must be true |", "|---|---|", *rows, ""])
 
 
 if __name__ == "__main__":

@@ -131,20 +131,20 @@ def _rig(
 ) -> CodingRig:  # fmt: skip
     power = np.array([vary(1.0, 0.1) for _ in range(planes)])
     # lifted points go away from the projector: the fan's middle leaves room for that
-    feet = spacing_mm * (np.arange(planes) - 0.5 * (planes - 1)) - 3.0 * np.sign(projector[0])
+    lines_x = spacing_mm * (np.arange(planes) - 0.5 * (planes - 1)) - 3.0 * np.sign(projector[0])
     turn = {"yaw_deg": vary(0.6, 2.0), "pitch_deg": vary(0.3, 1.0)}
-    laser = fan_through(projector, feet, **turn, sigma_mm=sigma_mm, peak_grey=370.0 * power)
+    laser = fan_through(projector, lines_x, **turn, sigma_mm=sigma_mm, peak_grey=370.0 * power)
     return CodingRig(name, camera, laser, noise_px, (-1.0, 26.0))
 
 
 def _spaced(rig: CodingRig, displacement: float, vary: Vary) -> CodingRig:
     """Space the planes so that the wanted displacement comes out, each spacing a little different."""
     laser, planes = rig.laser, rig.laser.count
-    feet = laser.x_mm(0.0, 0.0)
-    spacing = float(np.diff(feet).mean()) * rig.displacement_spacings() / displacement
+    lines_x = laser.x_mm(0.0, 0.0)
+    spacing = float(np.diff(lines_x).mean()) * rig.displacement_spacings() / displacement
     steps = np.array([spacing * vary(1.0, 0.02) for _ in range(planes - 1)])
     placed = np.concatenate([[0.0], np.cumsum(steps)])
-    placed += feet.mean() - placed.mean()
+    placed += lines_x.mean() - placed.mean()
     axis = laser.line_axis
     yaw = float(np.rad2deg(np.arctan2(-axis[0], axis[1])))
     pitch = float(np.rad2deg(np.arcsin(axis[2])))
@@ -223,9 +223,9 @@ def side_by_side(one: Solid, other: Solid, x_mm: float) -> GriddedSolid:
 def in_view(solid: Solid, rig: CodingRig) -> Solid:
     """Move a body along X so that it lies about the middle of what the planes and the camera see of it."""
     x_min, x_max, y_min, y_max = solid.footprint_extent_mm()
-    feet = rig.laser.x_mm(0.5 * (y_min + y_max), 4.0)
-    spacing = float(np.diff(np.sort(feet)).mean())
-    low, high = float(feet.min()) - 1.2 * spacing, float(feet.max()) + 1.2 * spacing
+    lines_x = rig.laser.x_mm(0.5 * (y_min + y_max), 4.0)
+    spacing = float(np.diff(np.sort(lines_x)).mean())
+    low, high = float(lines_x.min()) - 1.2 * spacing, float(lines_x.max()) + 1.2 * spacing
     shift = max(low - x_min, 0.0) + min(high - x_max, 0.0)
     return solid if shift == 0.0 else moved(solid, shift)
 

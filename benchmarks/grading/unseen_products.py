@@ -94,8 +94,8 @@ def _whole(tried: tuple[int, int], new: tuple[int, int]) -> str:
     ends = [wilson(*part) for part in (tried, new)]
     words = [f"{100 * end.low:.1f} to {100 * end.high:.1f} %" for end in ends]
     return (
-        f"Unknown are {share(*tried)} of kinds that had been tried ({words[0]}),\n"
-        f"and {share(*new)} of those that had not ({words[1]}).\n"
+        f"{share(*tried)} products of kinds used for that choice are `unknown` ({words[0]}),\n"
+        f"and {share(*new)} of other kinds ({words[1]}).\n"
     )
 
 
@@ -119,9 +119,9 @@ def _said(learned: Learned, features: dict[str, float]) -> str:
 _TEXT = """\
 ## Products that are not skeins
 
-`learned`, {n} products of each kind, seeds {first} to {last}, on rigs about the recipe's. Foods are as they
-are simulated; bodies of geometry have lengths, widths and heights drawn from those of skeins (70 to 105,
-20 to 34, 10 to 20 mm), and lie as skeins do. Those that the coder refused, or that fewer than three stripes
-met, were not judged: no class of them is stated. While the measures and the features were
-chosen, products of seeds 64000 to 64023 were looked at, bodies of geometry in one size.
+`learned`, {n} products of each kind, seeds {first} to {last}, on rigs similar to the recipe's. Foods are as
+simulated; geometric bodies have lengths, widths and heights drawn from the ranges of skeins (70 to 105,
+20 to 34, 10 to 20 mm), and lie as skeins do. Products that the coder refused, or that fewer than three
+stripes cross, get no class and are not counted. Measures and features were chosen on products of seeds
+64000 to 64023, with geometric bodies of one size.
 """

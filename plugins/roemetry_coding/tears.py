@@ -154,14 +154,14 @@ def _largest_jump(
         slipped, large_slips = np.uint64(0), np.uint64(0)
         bare = told_apart and end - begin == wide and stop - end == wide
         if bare:  # as most rows: every stripe on its own line, here and in the next row
-            astray = np.uint64(0)
+            off_rest = np.uint64(0)
             for k in range(wide):
                 here, there = x_px[begin + k] - lines[line + k], x_px[end + k] - lines[line + wide + k]
                 slip = there - here
                 slips[k] = slip
                 large_slips += np.uint64(abs(slip) >= least_px)
-                astray += np.uint64(not abs(here) <= belt_px) + np.uint64(not abs(there) <= belt_px)
-            bare = astray == 0
+                off_rest += np.uint64(not abs(here) <= belt_px) + np.uint64(not abs(there) <= belt_px)
+            bare = off_rest == 0
         if bare:
             slipped = wide
             for k in range(wide):

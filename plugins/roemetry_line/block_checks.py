@@ -42,7 +42,7 @@ def _chart_path(recipe: Recipe, folder: Path, station: str) -> Path:
     return folder / _FOLDER / f"{station}.sqlite"
 
 
-def said_of(check: Check) -> str:
+def summary_of(check: Check) -> str:
     """Say in one line what a check found."""
     lengths = ", ".join(
         f"{name.removesuffix('_mm')} not measured"
@@ -123,7 +123,7 @@ class BlockChecks:
         except FAULTS as error:
             said = error.message if isinstance(error, RoemetryError) else f"{type(error).__name__}: {error}"
             return "failed", f"the check block was not measured: {said}"
-        return check.verdict, said_of(check)
+        return check.verdict, summary_of(check)
 
 
 _FIRST = 20

@@ -16,7 +16,7 @@ from roemetry_line.days import HourlyTidying
 from roemetry_line.line_file import Line, NamedOutlet
 from roemetry_line.log import log, log_libraries
 from roemetry_line.outbox import Outbox
-from roemetry_line.process import alone, settle, until_asked
+from roemetry_line.process import alone, settle, stop_event
 
 _BATCH = 100
 """Rows that are handed to an outlet at once, at most: after an outage they go out by the hundred."""
@@ -120,7 +120,7 @@ class Deliverer:
 def main() -> int:
     """Deliver the rows of the line file that the command line names."""
     log_libraries()
-    stop = until_asked()
+    stop = stop_event()
     line = Line.load(Path(sys.argv[1]), with_recipes=False)
     outbox = Outbox(line.folder)
     with alone(line.folder, "outlets", stop) as mine:

@@ -95,7 +95,7 @@ def set_by(signals: Sequence[signal.Signals]) -> threading.Event:
     return stop
 
 
-def until_asked() -> threading.Event:
+def stop_event() -> threading.Event:
     """Give an event that is set on SIGTERM, and when the process that started this one is gone.
 
     The parent holds the other end of the standard input: when it dies, however that is, the pipe ends.

@@ -54,7 +54,7 @@ WantedBy=multi-user.target
 """
 
 
-def tell_systemd(what: str) -> None:
+def notify_systemd(what: str) -> None:
     """Send a word such as ``READY=1``; nothing where systemd has not started this process."""
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:
@@ -188,17 +188,17 @@ class Supervisor:
         log("info", "starting", f"line {self._line.name}", pid=os.getpid())
         for name in self._commands:
             self._start(name)
-        told_ready = False
+        ready_sent = False
         while not self._stop.wait(_TICK_S):
             self._watch()
             well = self._all_work()
-            if well and not told_ready:
-                told_ready = True
+            if well and not ready_sent:
+                ready_sent = True
                 log("info", "ready", "every station measures")
-                tell_systemd("READY=1")
+                notify_systemd("READY=1")
             if well:
-                tell_systemd("WATCHDOG=1")
-        tell_systemd("STOPPING=1")
+                notify_systemd("WATCHDOG=1")
+        notify_systemd("STOPPING=1")
         log("info", "stopping", "frames that wait are measured, rows that wait are delivered")
         for group in ("station", "outlets", "page"):
             self._end([name for name in self._running if name.startswith(group)])

@@ -38,7 +38,7 @@ from roemetry_line.block_checks import BlockChecks, LaserHealth
 from roemetry_line.live_view import LiveView
 from roemetry_line.log import log, log_libraries
 from roemetry_line.outbox import NewRow, Outbox
-from roemetry_line.process import alone, off_main_thread, settle, until_asked
+from roemetry_line.process import alone, off_main_thread, settle, stop_event
 from roemetry_line.rows import Taken, Where, notice_row, product_rows
 
 
@@ -596,7 +596,7 @@ def _fault(error: BaseException) -> str:
 def main() -> int:
     """Run the station that the command line names, of a line file."""
     log_libraries()
-    stop = until_asked()
+    stop = stop_event()
     path, name = Path(sys.argv[1]), sys.argv[2]
     line = line_file.Line.load(path, with_recipes=False)
     outbox = Outbox(line.folder)

@@ -213,11 +213,11 @@ def camera_of(part: CameraPart) -> Camera:
 
 def fan_of(part: LaserPart, grey_per_e_per_ms: float) -> Fan:
     """Make the fan that a scene describes; the second number turns its light into grey levels."""
-    feet_x = part.feet_mm
+    lines_x_mm = part.lines_x_mm
     yaw, pitch = math.radians(part.yaw_deg), math.radians(part.pitch_deg)
     axis = np.array([-math.sin(yaw) * math.cos(pitch), math.cos(yaw) * math.cos(pitch), math.sin(pitch)])
     origin = np.array(part.projector_mm, dtype=np.float64)
-    towards = np.stack([feet_x, 0 * feet_x, 0 * feet_x], axis=-1) - origin
+    towards = np.stack([lines_x_mm, 0 * lines_x_mm, 0 * lines_x_mm], axis=-1) - origin
     normals = np.cross(towards, axis)
     normals *= np.sign(normals[:, :1]) / np.linalg.norm(normals, axis=1, keepdims=True)
     power = np.ones(part.count) if part.power is None else np.array(part.power, dtype=np.float64)
@@ -242,9 +242,9 @@ def check_rig(camera_part: CameraPart, laser_part: LaserPart) -> None:
     sides = camera.border_on(0.0) @ fan.normals.T - fan.offsets_mm
     lit = fan.peak_grey > 0.0
     if not ((sides.min(axis=0) < 0.0) & (sides.max(axis=0) > 0.0) & lit).any():
-        feet, view = fan.x_mm(0.0, 0.0)[lit], camera.view_on(0.0)
+        crossing_x, view = fan.x_mm(0.0, 0.0)[lit], camera.view_on(0.0)
         why = (
-            f"the laser misses the view: its planes meet the belt at X = {feet.min():.1f} to "
-            f"{feet.max():.1f} mm, the camera sees X = {view[0]:.1f} to {view[1]:.1f} mm"
+            f"the laser misses the view: its planes meet the belt at X = {crossing_x.min():.1f} to "
+            f"{crossing_x.max():.1f} mm, the camera sees X = {view[0]:.1f} to {view[1]:.1f} mm"
         )
         raise MisfitError((("laser", "centre_x_mm" if laser_part.belt_x_mm is None else "belt_x_mm"), why))

@@ -328,12 +328,12 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         """Move a product along X by as little as brings its ends near the outer stripes and into the view."""
         x_min, x_max, y_min, y_max = one.body.extent_mm
         height = 0.25 * one.body.height_mm
-        feet = np.sort(self.fan.x_mm(0.5 * (y_min + y_max), height))
+        lines_x = np.sort(self.fan.x_mm(0.5 * (y_min + y_max), height))
         low, high, _, _ = self.camera.view_on(height)
         low, high = low + _EDGE_MM, high - _EDGE_MM
-        if feet.size > 1:
-            over = self.options.product.most_overhang_spacings * float(np.diff(feet).mean())
-            low, high = max(low, float(feet[0]) - over), min(high, float(feet[-1]) + over)
+        if lines_x.size > 1:
+            over = self.options.product.most_overhang_spacings * float(np.diff(lines_x).mean())
+            low, high = max(low, float(lines_x[0]) - over), min(high, float(lines_x[-1]) + over)
         return _moved(one, max(low - x_min, 0.0) + min(high - x_max, 0.0), 0.0)
 
     def _check_in_view(self, body: Body, name: str) -> None:

@@ -194,14 +194,14 @@ def _hidden(points: Floats, face: Integers, corners: Floats, source: Floats) -> 
         along = source[2] / (source[2] - at[..., 2])
         return np.asarray(source[:2] + along[..., None] * (at[..., :2] - source[:2]))
 
-    shadow, feet = on_belt(corners), on_belt(points)
+    shadow, points_on_belt = on_belt(corners), on_belt(points)
     low = shadow.min(axis=(0, 1))
     cells = np.maximum(np.ceil((shadow.max(axis=(0, 1)) - low) / _BIN_MM), 1).astype(np.int64)
     boxes = np.concatenate([shadow.min(axis=1), shadow.max(axis=1)], axis=1) - np.tile(low, 2)
     boxes = np.clip(np.floor(boxes / _BIN_MM).astype(np.int64), 0, np.tile(cells - 1, 2))
     start, member = _binned(boxes, int(cells[0]), int(cells[1]))
     _between(
-        np.ascontiguousarray(points), face, np.floor((feet - low) / _BIN_MM).astype(np.int64),
+        np.ascontiguousarray(points), face, np.floor((points_on_belt - low) / _BIN_MM).astype(np.int64),
         np.ascontiguousarray(corners), np.ascontiguousarray(source), start, member,
         int(cells[0]), int(cells[1]), hidden,
     )  # fmt: skip

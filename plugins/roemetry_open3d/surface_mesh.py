@@ -260,14 +260,10 @@ def _ring(sheet: Sheet, step_mm: float) -> Floats:
 
 def open_edges(triangles: Integers) -> int:
     """Count edges that do not join exactly two triangles which run through them in opposite ways."""
-    ways = _ways(triangles)
+    ways = np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     _, each = np.unique(ways, axis=0, return_counts=True)
     _, both = np.unique(np.sort(ways, axis=1), axis=0, return_counts=True)
     return int((both != 2).sum() + (each > 1).sum())
-
-
-def _ways(triangles: Integers) -> Integers:
-    return np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
 
 _INSTALL = "pip install 'roemetry[open3d]'"

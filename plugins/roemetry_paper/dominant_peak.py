@@ -114,9 +114,9 @@ def without_faint(scan: Scan) -> Scan:
 def as_peaks(frame: Frame, scan: Scan) -> Peaks:
     """Make the record of what a scan found in the frame; the scans do not model an uncertainty of x."""
     reasons = doubts(frame.pixels, frame.white, scan.row, scan.x_px, scan.width_px)
-    unsaid = np.full(scan.row.shape[0], np.nan)
+    not_stated = np.full(scan.row.shape[0], np.nan)
     scan = scan._replace(flags=scan.flags | clipped_beyond(frame, scan.row, scan.x_px))
-    return Peaks(image_size=frame.size, x_std_px=unsaid, reasons=reasons, **scan._asdict())
+    return Peaks(image_size=frame.size, x_std_px=not_stated, reasons=reasons, **scan._asdict())
 
 
 class Scan(NamedTuple):

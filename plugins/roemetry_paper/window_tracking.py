@@ -42,6 +42,9 @@ from roemetry_kernels.rest_lines import (
 )
 from roemetry_kernels.tracing import cut_at_rest_lines, trace_fragments
 
+_BODY_WINDOW_PX = 14
+"""Width of the window in which a stripe goes on from row to row on a body: the paper's (section 3.3)."""
+
 
 class WindowTrackingOptions(BridgingOptions):
     """Windows, gaps and areas of the tracking."""
@@ -49,7 +52,6 @@ class WindowTrackingOptions(BridgingOptions):
     stripe_count: int | None = Field(
         default=None, ge=1, description="stripes to expect; default: as the calibration says, else as seen"
     )
-    body_window_px: int = Field(default=14, ge=1, le=99, description="width of the window on the body, px")
     smallest_area_px: int = Field(default=10, ge=1, description="fragments with fewer peaks are noise")
     hidden: Literal["anywhere", "facing-light"] = Field(
         default="anywhere",
@@ -121,7 +123,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
             )
         if calibration is not None:
             refuse_dark_rows(peaks)
-        fragment, fragments = trace_fragments(peaks.row_start, peaks.x_px, options.body_window_px / 2)
+        fragment, fragments = trace_fragments(peaks.row_start, peaks.x_px, _BODY_WINDOW_PX / 2)
         rest = (
             calibrated_rest_lines(peaks, calibration)
             if calibration is not None

@@ -17,21 +17,20 @@ ours.
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from roemetry.records import Frame, Peaks
-from roemetry.records.arrays import Floats, Integers
+from roemetry.records.arrays import Floats
 from roemetry.records.stripes import EDGE
-from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry.stages import Capabilities, StageOptions
 from roemetry_kernels.compiling import float_kernel, inlined
-from roemetry_kernels.steep_steps import count_steps
 from roemetry_peaks.finding import PeakOptions, found
 from roemetry_peaks.peak_scan import Pixels
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA, Stripes
+from roemetry_peaks.searching import RowExtractor
 from roemetry_peaks.speckle_contrast import PIXELS_MAX, variance_of
 
 _BEYOND_LINEAR = 3.5  # see `roemetry_peaks.finding.found`; found by drawing
@@ -48,19 +47,11 @@ class CentreOfGravityOptions(PeakOptions):
     )
 
 
-class CentreOfGravity(Extractor[CentreOfGravityOptions]):
+class CentreOfGravity(RowExtractor[CentreOfGravityOptions]):
     """Takes the centre of gravity of the grey levels above the background, in a window around it."""
 
     Options: ClassVar[type[StageOptions]] = CentreOfGravityOptions
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
-
-    def rows_apart(self) -> int:
-        """Give 0: each row is measured by itself."""
-        return 0
-
-    def count_steps(self, pixels: NDArray[Any], least: int) -> tuple[Integers, Integers, Integers]:
-        """Count steps of the grey level in one pass."""
-        return count_steps(pixels, least)
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""

@@ -23,19 +23,18 @@ Source: Guo (2011), IEEE Signal Processing Magazine 28(5):134–137; the speckle
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roemetry.records import Frame, Peaks
-from roemetry.records.arrays import Floats, Integers
-from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry.records.arrays import Floats
+from roemetry.stages import Capabilities, StageOptions
 from roemetry_kernels.compiling import float_kernel, inlined
-from roemetry_kernels.steep_steps import count_steps
 from roemetry_peaks.finding import PeakOptions, found
 from roemetry_peaks.peak_scan import Pixels, copied
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA, Stripes
+from roemetry_peaks.searching import RowExtractor
 from roemetry_peaks.speckle_contrast import LAGS, PIXELS_MAX, bell, fading
 
 _BEYOND_LINEAR = 7.0  # see `roemetry_peaks.finding.found`; found by drawing
@@ -45,19 +44,11 @@ class GaussianOptions(PeakOptions):
     """Options of `Gaussian`."""
 
 
-class Gaussian(Extractor[GaussianOptions]):
+class Gaussian(RowExtractor[GaussianOptions]):
     """Fits a Gaussian by weighted least squares on the logarithms of the grey levels."""
 
     Options: ClassVar[type[StageOptions]] = GaussianOptions
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
-
-    def rows_apart(self) -> int:
-        """Give 0: each row is measured by itself."""
-        return 0
-
-    def count_steps(self, pixels: NDArray[Any], least: int) -> tuple[Integers, Integers, Integers]:
-        """Count steps of the grey level in one pass."""
-        return count_steps(pixels, least)
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""

@@ -26,21 +26,20 @@ vector instructions.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from roemetry.records import Frame, Peaks
-from roemetry.records.arrays import Floats, Integers
+from roemetry.records.arrays import Floats
 from roemetry.records.stripes import EDGE, SATURATED
-from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry.stages import Capabilities, StageOptions
 from roemetry_kernels.compiling import float_kernel, inlined
-from roemetry_kernels.steep_steps import count_steps
 from roemetry_peaks.finding import PeakOptions, found
 from roemetry_peaks.peak_scan import Pixels, copied
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA, Stripes
+from roemetry_peaks.searching import RowExtractor
 from roemetry_peaks.speckle_contrast import variance_of_middle
 
 _BEYOND_LINEAR = 3.0  # see `roemetry_peaks.finding.found`; found by drawing
@@ -52,19 +51,11 @@ class LogParabolaOptions(PeakOptions):
     points: Literal["three", "five"] = Field(default="five", description="pixels the parabola goes through")
 
 
-class LogParabola(Extractor[LogParabolaOptions]):
+class LogParabola(RowExtractor[LogParabolaOptions]):
     """Takes the top of the parabola through the logarithms of three or five pixels."""
 
     Options: ClassVar[type[StageOptions]] = LogParabolaOptions
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
-
-    def rows_apart(self) -> int:
-        """Give 0: each row is measured by itself."""
-        return 0
-
-    def count_steps(self, pixels: NDArray[Any], least: int) -> tuple[Integers, Integers, Integers]:
-        """Count steps of the grey level in one pass."""
-        return count_steps(pixels, least)
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
+from numpy.typing import NDArray
 from pydantic import Field
 
 from roemetry.errors import StageError
 from roemetry.records import Frame
-from roemetry.stages import StageOptions
+from roemetry.records.arrays import Integers
+from roemetry.stages import Extractor, StageOptions
+from roemetry.stages.kinds import OptionsT
+from roemetry_kernels.steep_steps import count_steps
 
 Narrowest = Annotated[
     float, Field(ge=0.0, le=100.0, description="smallest full width at half height, px: rejects hot pixels")
@@ -55,3 +59,15 @@ def searched(frame: Frame, region: tuple[int, int, int, int] | None) -> Area:
             hint="give first row, row after the last, first column, column after the last",
         )
     return Area(*region)
+
+
+class RowExtractor(Extractor[OptionsT]):
+    """An extractor that measures each row by itself."""
+
+    def rows_apart(self) -> int:
+        """Give 0: frames of a scan may lie one below the other."""
+        return 0
+
+    def count_steps(self, pixels: NDArray[Any], least: int) -> tuple[Integers, Integers, Integers]:
+        """Count steps of the grey level in one pass."""
+        return count_steps(pixels, least)

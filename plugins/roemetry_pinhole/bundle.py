@@ -3,8 +3,8 @@
 Model (Triggs, McLauchlan, Hartley and Fitzgibbon 2000). Unknowns are the camera's numbers, six for each
 pose of the board, three for each plane of light (p·X = 1) and for the belt, and, if asked for, the belt's
 travel and the board's shape. Observed are marks (x, y in the image), stripe peaks (x along the row: the ray
-must meet board and plane of light in one point), feet (corners of boards that lie on the belt) and edges of
-solids. The sum of their squares over their variances is made smallest by Levenberg and Marquardt's method
+must meet board and plane of light in one point), belt contacts (corners of boards that lie on the belt) and
+edges of solids. The sum of squares over variances is minimised by Levenberg and Marquardt's method
 with analytic derivatives.
 
 1. Robust start: Huber's loss; noise by medians.
@@ -33,21 +33,21 @@ from roemetry.errors import CalibrationError
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_kernels.compiling import kernel
 from roemetry_pinhole.geometry import (
+    NO_CONTACTS,
     NO_CORNERS,
     NO_EDGES,
-    NO_FEET,
     NO_POINTS,
     ON_BELT,
+    BeltContacts,
     Corners,
     Edges,
-    Feet,
     Geometry,
     StripePoints,
     Unknowns,
+    contact_rows,
     corner_residuals,
     corner_rows,
     edge_rows,
-    foot_rows,
     stripe_residuals,
     stripe_rows,
 )
@@ -82,8 +82,8 @@ class Problem:
     unknowns: Unknowns
     corners: Corners
     points: StripePoints
-    feet: Feet
-    foot_std_mm: float | Floats
+    contacts: BeltContacts
+    contact_std_mm: float | Floats
     weights: Weights
     edges: Edges = NO_EDGES
 
@@ -122,7 +122,7 @@ class Problem:
         normal, gradient = np.zeros((size, size)), np.zeros(size)
         marks = corner_rows(geometry, self.unknowns, self.corners)
         stripes = stripe_rows(geometry, self.unknowns, self.points)
-        stands = foot_rows(geometry, self.unknowns, self.feet)
+        stands = contact_rows(geometry, self.unknowns, self.contacts)
         rims = edge_rows(geometry, self.unknowns, self.edges)
         corner, stripe = weights.corner, weights.stripe
         if weights.robust:
@@ -133,7 +133,7 @@ class Problem:
         for rows, weight in (
             (marks, np.repeat(corner, 2) / weights.corner_std_px**2),
             (stripes, stripe / self._stripe_variance()),
-            (stands, np.full(stands.residual.size, 1.0) / np.square(self.foot_std_mm)),
+            (stands, np.full(stands.residual.size, 1.0) / np.square(self.contact_std_mm)),
             (rims, rim / self.edges.std_px**2),
         ):
             add_rows(rows.columns, rows.values, rows.residual, weight, normal, gradient)
@@ -144,7 +144,9 @@ class Problem:
         weights, loss = self.weights, _huber if self.weights.robust else np.square
         off = self._off(corner_residuals(geometry, self.corners))
         far = self._far(stripe_residuals(geometry, self.points))
-        total = ((foot_rows(geometry, self.unknowns, self.feet).residual / self.foot_std_mm) ** 2).sum()
+        total = (
+            (contact_rows(geometry, self.unknowns, self.contacts).residual / self.contact_std_mm) ** 2
+        ).sum()
         rims = np.abs(edge_rows(geometry, self.unknowns, self.edges).residual) / self.edges.std_px
         total += _huber(rims).sum()
         total += (weights.corner * loss(off)).sum()
@@ -281,14 +283,14 @@ def adjust(
     unknowns: Unknowns,
     corners: Corners,
     points: StripePoints,
-    feet: Feet,
+    contacts: BeltContacts,
     *,
-    foot_std_mm: float | Floats,
+    contact_std_mm: float | Floats,
     edges: Edges = NO_EDGES,
 ) -> Adjusted:
     """Find the unknowns from a start whose nearest minimum is the right one.
 
-    `foot_std_mm` is the standard uncertainty of the feet's heights, of all or of each.
+    `contact_std_mm` is the standard uncertainty of the contacts' heights, of all or of each.
 
     Raises
     ------
@@ -296,7 +298,7 @@ def adjust(
         What was seen does not determine the unknowns.
     """
     weights = Weights(1.0, 1.0, np.ones(corners.pose.size), np.ones(points.pose.size))
-    problem = Problem(unknowns, corners, points, feet, foot_std_mm, weights, edges)
+    problem = Problem(unknowns, corners, points, contacts, contact_std_mm, weights, edges)
     geometry = robust_prefit(problem, geometry)
     _reject_outliers(problem, geometry)
     points = problem.points = _by_surface(problem, geometry)
@@ -435,7 +437,7 @@ def _spread(distance: Floats) -> float:
     return MAD_TO_STD * float(np.median(distance)) if distance.size else 1.0
 
 
-_Rows = TypeVar("_Rows", Corners, StripePoints, Feet)
+_Rows = TypeVar("_Rows", Corners, StripePoints, BeltContacts)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -446,15 +448,15 @@ class Measured:
     unknowns: Unknowns
     corners: Corners = NO_CORNERS
     points: StripePoints = NO_POINTS
-    feet: Feet = NO_FEET
-    foot_std_mm: float | Floats = 0.01
-    """Standard uncertainty of the feet's heights, mm: of all, or of each."""
+    contacts: BeltContacts = NO_CONTACTS
+    contact_std_mm: float | Floats = 0.01
+    """Standard uncertainty of the contacts' heights, mm: of all, or of each."""
     edges: Edges = NO_EDGES
 
     def adjusted(self) -> Adjusted:
         """Adjust; raises as `adjust`."""
-        seen = self.corners, self.points, self.feet
-        return adjust(self.start, self.unknowns, *seen, foot_std_mm=self.foot_std_mm, edges=self.edges)
+        seen = self.corners, self.points, self.contacts
+        return adjust(self.start, self.unknowns, *seen, contact_std_mm=self.contact_std_mm, edges=self.edges)
 
     def robust_prefit(self) -> Geometry:
         """Adjust robustly and not to the last digit; raises as `adjust`."""
@@ -478,20 +480,20 @@ class Measured:
             weights = Weights(
                 found.corner_std_px, found.stripe_scale, *used, robust=False, correlation=correlation
             )
-        seen = self.corners, self.points, self.feet
-        return Problem(self.unknowns, *seen, self.foot_std_mm, weights, self.edges)
+        seen = self.corners, self.points, self.contacts
+        return Problem(self.unknowns, *seen, self.contact_std_mm, weights, self.edges)
 
     def of(self, poses: Integers, start: Geometry) -> Measured:
         """Give what boards in some poses (ascending) and the bare belt show, from another start."""
-        feet = np.isin(self.feet.pose, poses)
+        contacts = np.isin(self.contacts.pose, poses)
         start = replace(start, rotation=start.rotation[poses], shift=start.shift[poses])
         return Measured(
             start,
             self.unknowns.of(start, self.unknowns.prints >= 0),
             chosen(self.corners, np.isin(self.corners.pose, poses), poses),
             chosen(self.points, np.isin(self.points.pose, [ON_BELT, *poses]), poses),
-            chosen(self.feet, feet, poses),
-            self.foot_std_mm if isinstance(self.foot_std_mm, float) else self.foot_std_mm[feet],
+            chosen(self.contacts, contacts, poses),
+            self.contact_std_mm if isinstance(self.contact_std_mm, float) else self.contact_std_mm[contacts],
         )
 
 
@@ -527,14 +529,16 @@ def _disagreement(problem: Problem, geometry: Geometry) -> float:
 
 def _shared_part(problem: Problem, geometry: Geometry, pose: int, shared: Integers) -> Floats:
     """Give a pose's normal matrix and gradient of the shared unknowns, side by side, without its own."""
-    corners, points, feet = (rows.pose == pose for rows in (problem.corners, problem.points, problem.feet))
-    weights, std_mm = problem.weights, problem.foot_std_mm
+    corners, points, contacts = (
+        rows.pose == pose for rows in (problem.corners, problem.points, problem.contacts)
+    )
+    weights, std_mm = problem.weights, problem.contact_std_mm
     of_pose = Problem(
         problem.unknowns,
         chosen(problem.corners, corners),
         chosen(problem.points, points),
-        chosen(problem.feet, feet),
-        std_mm if isinstance(std_mm, float) else std_mm[feet],
+        chosen(problem.contacts, contacts),
+        std_mm if isinstance(std_mm, float) else std_mm[contacts],
         replace(weights, corner=weights.corner[corners], stripe=weights.stripe[points]),
         problem.edges if pose == ON_BELT else NO_EDGES,
     )

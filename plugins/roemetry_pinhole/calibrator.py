@@ -29,16 +29,22 @@ from roemetry.stages import Calibrator, Capabilities, StageOptions
 from roemetry_pinhole.boards import Seen
 from roemetry_pinhole.bundle import Adjusted
 from roemetry_pinhole.findings import findings_of, target_views
-from roemetry_pinhole.joint import Joint, camera_alone, joint, of_planes, planes_by_solids
+from roemetry_pinhole.joint_adjustment import (
+    JointAdjustment,
+    adjust_jointly,
+    camera_alone,
+    known_planes_covariance,
+    planes_by_solids,
+)
 from roemetry_pinhole.known_files import read_planes
 from roemetry_pinhole.pinhole_plane import METHOD, covariance_of, derived, parameters_of
 from roemetry_pinhole.scale import (
-    check_beside_solids,
     check_scale,
     check_solids,
     of_lengths,
     rescaled,
     scaled_by_references,
+    with_solid_checks,
 )
 from roemetry_pinhole.verdict import evidence_of, judged
 
@@ -142,7 +148,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             # solids that contradict each other spoil the fit of all: then that is the reason to give
             check_solids(observed, made)
             raise
-        return replace(calibration, **check_beside_solids(calibration, observed, made))
+        return replace(calibration, **with_solid_checks(calibration, observed, made))
 
     def camera(self, observed: CalibrationSet) -> CameraFit:
         """Find camera and lens alone; CalibrationError for too few poses, or poses too much alike."""
@@ -160,7 +166,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             joined = rescaled(joined, float(calibration.target["pitch_mm"]) / joined.board.pitch_mm)
         return replace(evidence_of(joined, calibration), views=target_views(joined, observed, calibration))
 
-    def _made(self, joined: Joint, observed: CalibrationSet, *, lengths: bool) -> Calibration:
+    def _made(self, joined: JointAdjustment, observed: CalibrationSet, *, lengths: bool) -> Calibration:
         """Give the calibration of an adjustment, with the uncertainty of the targets' lengths or without."""
         adjusted, size = joined.adjusted, joined.size
         try:
@@ -196,10 +202,10 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             **derived(parameters, size),
         )
 
-    _last: tuple[CalibrationSet, Seen, Joint | CalibrationError] | None = None
+    _last: tuple[CalibrationSet, Seen, JointAdjustment | CalibrationError] | None = None
     """The last set, what its images showed, and its adjustment: evidence and findings are of the same."""
 
-    def _look(self, observed: CalibrationSet) -> tuple[Seen, Joint | CalibrationError]:
+    def _look(self, observed: CalibrationSet) -> tuple[Seen, JointAdjustment | CalibrationError]:
         last = self._last
         if last is None or last[0] is not observed:
             seen = Seen()
@@ -210,13 +216,13 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
             self._last = last
         return last[1], last[2]
 
-    def _joint(self, observed: CalibrationSet) -> Joint:
+    def _joint(self, observed: CalibrationSet) -> JointAdjustment:
         found = self._look(observed)[1]
         if isinstance(found, CalibrationError):
             raise found
         return found
 
-    def _adjusted(self, observed: CalibrationSet, seen: Seen) -> Joint:
+    def _adjusted(self, observed: CalibrationSet, seen: Seen) -> JointAdjustment:
         options = self.options
         if options.gravity is not None and options.reference_pose is None:
             raise CalibrationError(
@@ -226,13 +232,13 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
         pose = options.reference_pose
         if pose is not None and pose.isdigit():
             pose = str(int(pose))  # as images' names give it: without zeros in front
-        found = joint(
+        found = adjust_jointly(
             observed,
             seen,
             lens=options.lens,
             camera_file=options.camera,
             print_contrast_max=options.print_contrast_max,
-            bent=options.flatness == "free",
+            fit_warp=options.flatness == "free",
             planes=self._planes(),
             reference_pose=pose,
         )
@@ -245,7 +251,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
         down = np.array(options.gravity)
         return replace(found, adjusted=levelled(found.adjusted, middle_mm, down, options.gravity_std_deg))
 
-    def _of_known_planes(self, joined: Joint) -> tuple[Floats, str]:
+    def _of_known_planes(self, joined: JointAdjustment) -> tuple[Floats, str]:
         """Give the covariance of planes and belt by what the known planes are uncertain by, and a note."""
         angle, offset = self.options.planes_angle_std_deg, self.options.planes_offset_std_mm
         if not (angle or offset):
@@ -254,7 +260,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
                 "camera and planes of light were read from files and are taken as exact: their uncertainty "
                 "is in no figure; planes_offset_std_mm and planes_angle_std_deg state it"
             )
-        return of_planes(joined.measured, joined.adjusted, angle, offset), (
+        return known_planes_covariance(joined.measured, joined.adjusted, angle, offset), (
             f"planes of light were read from a file, each uncertain by {offset:g} mm along its normal and by "
             f"{angle:g}°, on its own; the camera is taken as exact"
         )
@@ -276,7 +282,7 @@ def _with(notes: list[str], error: CalibrationError) -> CalibrationError:
     return CalibrationError("\n  ".join([error.message, *notes]), hint=error.hint)
 
 
-def _described(joined: Joint) -> dict[str, object]:
+def _described(joined: JointAdjustment) -> dict[str, object]:
     board = joined.board
     said: dict[str, object] = {}
     if board is not None:

@@ -28,8 +28,14 @@ from roemetry_pinhole.circle_numbers import BeltCircles, on_belt, on_boards
 from roemetry_pinhole.cones import ANGLES, AXIS, LIGHT, METHOD, derived
 from roemetry_pinhole.dot_rays import surface_of
 from roemetry_pinhole.geometry import CAMERA, ON_BELT, Geometry, rays
-from roemetry_pinhole.initial_intrinsics import FirstCamera, belt_under, by_marks, first_camera, free_numbers
-from roemetry_pinhole.joint import poses_tried
+from roemetry_pinhole.initial_intrinsics import (
+    InitialCamera,
+    belt_under,
+    boards_alone,
+    free_numbers,
+    initial_camera,
+)
+from roemetry_pinhole.joint_adjustment import poses_tried
 from roemetry_pinhole.known_files import read_camera
 from roemetry_pinhole.pinhole_plane import belt_pose
 
@@ -86,13 +92,13 @@ class PinholeCirclesCalibrator(Calibrator[PinholeCirclesOptions]):
         board_views(observed, seen)
         known = None if options.camera is None else read_camera(options.camera)
         free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(options.lens)
-        first = first_camera(seen, size, options.lens, known, poses_tried(observed))
+        first = initial_camera(seen, size, options.lens, known, poses_tried(observed))
         if not any(view.on_belt for view in first.views):
             raise CalibrationError(
                 "nothing shows where the belt is",
                 hint="lay the board on the belt and name the image in images.board_on_belt",
             )
-        marks = by_marks(first, free, feet=True).adjusted()
+        marks = boards_alone(first, free, contacts=True).adjusted()
         points, start = self._points(first, belts, observed.stripe_count // 2)
         found = _adjusted(marks, points, start)
         left_out = 1.0 - float(found.used.mean())
@@ -137,7 +143,7 @@ class PinholeCirclesCalibrator(Calibrator[PinholeCirclesOptions]):
         )
 
     def _points(
-        self, first: FirstCamera, belts: tuple[Observation, ...], circles: int
+        self, first: InitialCamera, belts: tuple[Observation, ...], circles: int
     ) -> tuple[_Points, Floats]:
         """Number the peaks of all images; give also the cones to start from, camera's frame."""
         belt = belt_under(first, next(n for n, view in enumerate(first.views) if view.on_belt))

@@ -77,9 +77,9 @@ def _set(rig: LinearRig | DotRig, observations: list[Observation]) -> Calibratio
 def _near_planes(rig: LinearRig) -> Floats:
     """(stripe, 3) p·X = 1 in the frame of a camera 300 mm above the belt."""
     rest = rig.rest_px()
-    foot = (rest[:, [0, -1]] - rig.middle_column) * rig.mm_per_px
-    x_mm, y_mm = foot.mean(axis=1), rig.middle_row * rig.mm_per_px
-    slope = (foot[:, 0] - foot[:, 1]) / (2.0 * y_mm)
+    on_belt = (rest[:, [0, -1]] - rig.middle_column) * rig.mm_per_px
+    x_mm, y_mm = on_belt.mean(axis=1), rig.middle_row * rig.mm_per_px
+    slope = (on_belt[:, 0] - on_belt[:, 1]) / (2.0 * y_mm)
     lean = rig.px_per_mm * rig.mm_per_px - x_mm / _NEAR_MM
     # X − slope Y − lean Z = x_mm in the belt frame; the camera's is (X, −Y, 300 − Z)
     return np.asarray(np.column_stack([np.ones_like(lean), slope, lean]) / (x_mm + lean * _NEAR_MM)[:, None])
@@ -323,10 +323,10 @@ def circles_observed_of(rig: CircleRig) -> CalibrationSet:
     for number in range(_POSES):
         rotation, shift = _pose(number)
         a, b, c = rotation[:, 2] * flip  # of the board's plane in the belt frame
-        foot = (shift - [0.0, 0.0, _NEAR_MM]) * flip
+        origin = (shift - [0.0, 0.0, _NEAR_MM]) * flip
 
-        def tilted(xy: Floats, a: float = a, b: float = b, c: float = c, foot: Floats = foot) -> Floats:
-            return np.asarray(foot[2] - (a * (xy[:, 0] - foot[0]) + b * (xy[:, 1] - foot[1])) / c)
+        def tilted(xy: Floats, a: float = a, b: float = b, c: float = c, origin: Floats = origin) -> Floats:
+            return np.asarray(origin[2] - (a * (xy[:, 0] - origin[0]) + b * (xy[:, 1] - origin[1])) / c)
 
         def on_it(at: Floats, rotation: Floats = rotation, shift: Floats = shift) -> Flags:
             in_camera = at * flip + [0.0, 0.0, _NEAR_MM]

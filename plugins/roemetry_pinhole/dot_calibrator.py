@@ -27,8 +27,14 @@ from roemetry_pinhole.dot_rays import (
     view_of,
 )
 from roemetry_pinhole.geometry import CAMERA, ON_BELT, rays
-from roemetry_pinhole.initial_intrinsics import FirstCamera, belt_under, by_marks, first_camera, free_numbers
-from roemetry_pinhole.joint import poses_tried
+from roemetry_pinhole.initial_intrinsics import (
+    InitialCamera,
+    belt_under,
+    boards_alone,
+    free_numbers,
+    initial_camera,
+)
+from roemetry_pinhole.joint_adjustment import poses_tried
 from roemetry_pinhole.known_files import read_camera
 from roemetry_pinhole.pinhole_plane import belt_pose
 
@@ -77,13 +83,13 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
         size = observed.observations[0].frame.size
         known = None if options.camera is None else read_camera(options.camera)
         free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(options.lens)
-        first = first_camera(seen, size, options.lens, known, poses_tried(observed))
+        first = initial_camera(seen, size, options.lens, known, poses_tried(observed))
         if not any(view.on_belt for view in first.views):
             raise CalibrationError(
                 "nothing shows where the belt is",
                 hint="lay the board on the belt and name the image in images.board_on_belt",
             )
-        marks = by_marks(first, free, feet=True).adjusted()
+        marks = boards_alone(first, free, contacts=True).adjusted()
         points = self._points(first, belts, observed.stripe_count)
         found = adjusted_rays(marks, points, count)
         missing = int(np.isnan(found.lines[:, 0]).sum())
@@ -132,7 +138,7 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
             rays=made,
         )
 
-    def _points(self, first: FirstCamera, belts: tuple[Observation, ...], columns: int) -> DotPoints:
+    def _points(self, first: InitialCamera, belts: tuple[Observation, ...], columns: int) -> DotPoints:
         """Number the dots of all images."""
         belt = belt_under(first, next(n for n, view in enumerate(first.views) if view.on_belt))
         parts: list[_Seen] = []

@@ -200,8 +200,8 @@ class _Lattice:
     def of(self, light_mm: Floats, place_mm: Floats) -> tuple[Integers, np.ndarray]:
         """Give (n, 2) the dot whose ray from a point passes nearest, and whether it passes near."""
         share = light_mm[2] / (light_mm[2] - place_mm[:, 2])
-        foot = light_mm[:2] + (place_mm[:, :2] - light_mm[:2]) * share[:, None]
-        found = self._powers(foot) @ self._coefficients
+        on_belt = light_mm[:2] + (place_mm[:, :2] - light_mm[:2]) * share[:, None]
+        found = self._powers(on_belt) @ self._coefficients
         at = np.rint(found)
         near = (np.abs(found - at) < _ON_DOT).all(axis=1)
         near &= ((at >= 0) & (at < self._count)).all(axis=1)

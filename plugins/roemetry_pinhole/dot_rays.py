@@ -356,8 +356,8 @@ def _predicted(geometry: Geometry, lines: Floats, points: DotPoints) -> Floats:
     surface = surface_of(geometry, points.pose)
     along = (1.0 - (start * surface).sum(axis=1)) / (way * surface).sum(axis=1)
     place = start + along[:, None] * way
-    bent = distort(place[:, :2] / place[:, 2:], geometry.camera[4:]).xy
-    return np.asarray(bent * geometry.camera[:2] + geometry.camera[2:4])
+    distorted = distort(place[:, :2] / place[:, 2:], geometry.camera[4:]).xy
+    return np.asarray(distorted * geometry.camera[:2] + geometry.camera[2:4])
 
 
 _RAY_STEPS = np.diag([1e-3, 1e-3, 1e-5, 1e-5])  # steps of a ray's numbers for derivatives: all some 0.003 px
@@ -403,8 +403,8 @@ def _lines_through(geometry: Geometry, points: DotPoints, used: Flags, count: in
     with np.errstate(divide="ignore", invalid="ignore"):
         below = n * szz - sz * sz
         slopes = [(n * summed(v * z) - summed(v) * sz) / below for v in (x, y)]
-        feet = [(summed(v) - slope * sz) / n for v, slope in zip((x, y), slopes, strict=True)]
-        found = np.column_stack([*feet, *slopes])
+        on_belt = [(summed(v) - slope * sz) / n for v, slope in zip((x, y), slopes, strict=True)]
+        found = np.column_stack([*on_belt, *slopes])
     return np.where(n[:, None] >= _SURFACES_MIN, found, np.nan)
 
 

@@ -12,12 +12,14 @@ from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry_pinhole.boards import Seen
 from roemetry_pinhole.geometry import ON_BELT
-from roemetry_pinhole.joint import Joint
+from roemetry_pinhole.joint_adjustment import JointAdjustment
 
 _NOBODY = np.empty((0, 2))
 
 
-def findings_of(observed: CalibrationSet, seen: Seen, joined: Joint | None) -> tuple[ImageFinding, ...]:
+def findings_of(
+    observed: CalibrationSet, seen: Seen, joined: JointAdjustment | None
+) -> tuple[ImageFinding, ...]:
     """Say of each image what was found and used; `joined` is None where there is no adjustment."""
     marks = {view.name: view for view in seen.views}
     used = {} if joined is None else _used(joined)
@@ -46,7 +48,7 @@ def findings_of(observed: CalibrationSet, seen: Seen, joined: Joint | None) -> t
     return tuple(found)
 
 
-def _used(joined: Joint) -> dict[str, tuple[Floats, int, str]]:
+def _used(joined: JointAdjustment) -> dict[str, tuple[Floats, int, str]]:
     """Give by image the stripe points that count, how many do not, and how far its marks are off."""
     points, kept = joined.measured.points, joined.adjusted.stripe_used
     at = points.xy_px
@@ -67,7 +69,9 @@ def _used(joined: Joint) -> dict[str, tuple[Floats, int, str]]:
     return found
 
 
-def target_views(joined: Joint, observed: CalibrationSet, calibration: Calibration) -> tuple[TargetView, ...]:
+def target_views(
+    joined: JointAdjustment, observed: CalibrationSet, calibration: Calibration
+) -> tuple[TargetView, ...]:
     """Give the views of boards that are used, and the first image of the empty belt."""
     points, adjusted = joined.measured.points, joined.adjusted
     geometry, view = adjusted.geometry, calibration.view

@@ -21,7 +21,15 @@ from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.bundle import Adjusted, Measured
-from roemetry_pinhole.geometry import NO_EDGES, ON_BELT, Edges, Feet, Geometry, StripePoints, unknowns_of
+from roemetry_pinhole.geometry import (
+    NO_EDGES,
+    ON_BELT,
+    BeltContacts,
+    Edges,
+    Geometry,
+    StripePoints,
+    unknowns_of,
+)
 from roemetry_pinhole.solids import (
     Numbered,
     Shape,
@@ -346,16 +354,16 @@ def resting(
 ) -> Measured:
     """Give what boards and solids show together; each solid rests on the belt on three points (3, 3), mm."""
     pose = first_pose + np.repeat(np.arange(len(under_mm)), 3)
-    feet = Feet(
-        np.concatenate([boards.feet.pose, pose]),
-        np.concatenate([boards.feet.board_mm, *under_mm]),
-        np.concatenate([boards.feet.counts, np.zeros(pose.size)]),
+    contacts = BeltContacts(
+        np.concatenate([boards.contacts.pose, pose]),
+        np.concatenate([boards.contacts.board_mm, *under_mm]),
+        np.concatenate([boards.contacts.counts, np.zeros(pose.size)]),
     )
-    of_boards = np.broadcast_to(boards.foot_std_mm, boards.feet.pose.shape)
+    of_boards = np.broadcast_to(boards.contact_std_mm, boards.contacts.pose.shape)
     std_mm = np.concatenate([of_boards, np.full(pose.size, _LIES_STD_MM)])
-    bend = geometry.bend is not None
-    unknowns = unknowns_of(geometry, free_camera=free_camera, planes=True, belt=True, bend=bend)
-    return Measured(geometry, unknowns, boards.corners, points, feet, std_mm, edges)
+    warp = geometry.warp is not None
+    unknowns = unknowns_of(geometry, free_camera=free_camera, planes=True, belt=True, warp=warp)
+    return Measured(geometry, unknowns, boards.corners, points, contacts, std_mm, edges)
 
 
 def _check_surfaces(found: Assigned, stripes: int, name: str, least: int) -> None:

@@ -1,7 +1,7 @@
 """Unknowns of a calibration, and what they say the images show, with derivatives.
 
 Model. The camera is a pinhole with OpenCV's lens (roemetry_kernels.lens); the board has a pose in each view
-and may be bent (a polynomial of the fourth order); a plane of light is p·X = 1 in the camera's frame, which
+and may be warped (a polynomial of the fourth order); a plane of light is p·X = 1 in the camera's frame, which
 no plane through the camera's centre can be, and such a plane would measure nothing; the belt is the same.
 
 Observed are, each with its own residual and its analytic derivatives by all unknowns:
@@ -9,7 +9,7 @@ Observed are, each with its own residual and its analytic derivatives by all unk
 - stripe peaks: the way along the image row to where plane of light and surface meet, px. Both planes meet in
   a line whose rays m keep (δ p − n)·m = 0, n·X = δ being the surface; its left side over its slope along the
   row is that way. Derivatives are taken at the predicted place: at the noisy one they would share its noise;
-- feet: heights over the belt of boards' corners that lie on it, mm;
+- belt contacts: heights over the belt of board corners that lie on it, mm;
 - edges of solids: the distance in the image from the line in which two of its faces meet, px.
 
 It fails where a ray runs along a plane: the slope along the row is then 0.
@@ -59,12 +59,12 @@ def rays(camera: Floats, xy_px: Floats) -> Floats:
 
 _POWERS = np.array([(i, degree - i) for degree in (2, 3, 4) for i in range(degree, -1, -1)])
 """Of x and y in each coefficient: what is of lower order is the pose's."""
-BENDS = len(_POWERS)
+WARP_COEFFICIENTS = len(_POWERS)
 """Number of coefficients."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Bend:
+class BoardWarp:
     """Heights of the print over the board's plane, away from the camera."""
 
     middle_mm: Floats
@@ -75,11 +75,13 @@ class Bend:
     """(12,) of x², xy, y², x³, … y⁴."""
 
     @classmethod
-    def none(cls, width_mm: float, height_mm: float) -> Bend:
+    def none(cls, width_mm: float, height_mm: float) -> BoardWarp:
         """Give that of a flat board of this size."""
-        return cls(0.5 * np.array([width_mm, height_mm]), 0.5 * max(width_mm, height_mm), np.zeros(BENDS))
+        return cls(
+            0.5 * np.array([width_mm, height_mm]), 0.5 * max(width_mm, height_mm), np.zeros(WARP_COEFFICIENTS)
+        )
 
-    def moved(self, step_mm: Floats) -> Bend:
+    def moved(self, step_mm: Floats) -> BoardWarp:
         """Give it with other coefficients."""
         return replace(self, coefficients_mm=self.coefficients_mm + step_mm)
 
@@ -133,7 +135,7 @@ class Geometry:
     """(3,) the same of the belt; NaN where it is not asked for."""
     travel: Floats = field(default_factory=lambda: np.zeros(3))
     """(3,) way of the belt per encoder count, mm; 0 where it is not asked for."""
-    bend: Bend | None = None
+    warp: BoardWarp | None = None
     """Shape of the board's print; None where it is taken to be flat."""
     prints: Floats = field(default_factory=lambda: np.empty((0, 2)))
     """(board, 2) natural logarithms of how much larger each print is than described, and of how much more so
@@ -158,7 +160,7 @@ class Unknowns:
     """belt, travel: (3,)"""
     poses: Integers
     """(pose, 6) turn about the camera's axes, rad, then shift, mm."""
-    bend: Integers = field(default_factory=lambda: np.empty(0, np.int64))
+    warp: Integers = field(default_factory=lambda: np.empty(0, np.int64))
     """(12,) of the board's shape, mm; (0,) where it is taken to be flat."""
     prints: Integers = field(default_factory=lambda: np.empty((0, 2), np.int64))
     """(board, 2) of the prints' sizes."""
@@ -166,7 +168,7 @@ class Unknowns:
     @property
     def count(self) -> int:
         """Number of unknowns."""
-        parts = (self.camera, self.planes, self.belt, self.travel, self.poses, self.bend, self.prints)
+        parts = (self.camera, self.planes, self.belt, self.travel, self.poses, self.warp, self.prints)
         return int(np.concatenate([part.ravel() for part in parts]).max()) + 1
 
     def of(self, geometry: Geometry, prints: Flags) -> Unknowns:
@@ -177,15 +179,15 @@ class Unknowns:
             planes=bool((self.planes >= 0).any()),
             belt=bool((self.belt >= 0).any()),
             travel=bool((self.travel >= 0).any()),
-            bend=bool(self.bend.size),
+            warp=bool(self.warp.size),
             prints=prints,
         )
 
     def moved(self, geometry: Geometry, step: Floats) -> Geometry:
         """Give the geometry after a step of the unknowns."""
-        bend = geometry.bend
-        if bend is not None and self.bend.size:
-            bend = bend.moved(_part(step, self.bend))
+        warp = geometry.warp
+        if warp is not None and self.warp.size:
+            warp = warp.moved(_part(step, self.warp))
         return replace(
             geometry,
             camera=geometry.camera + _part(step, self.camera),
@@ -194,7 +196,7 @@ class Unknowns:
             travel=geometry.travel + _part(step, self.travel),
             rotation=turned(_part(step, self.poses[:, :3])) @ geometry.rotation,
             shift=geometry.shift + _part(step, self.poses[:, 3:]),
-            bend=bend,
+            warp=warp,
             prints=geometry.prints + _part(step, self.prints) if self.prints.size else geometry.prints,
         )
 
@@ -206,7 +208,7 @@ def unknowns_of(
     planes: bool = False,
     belt: bool = False,
     travel: bool = False,
-    bend: bool = False,
+    warp: bool = False,
     prints: Flags | None = None,
 ) -> Unknowns:
     """Number the unknowns, the camera's first, poses last.
@@ -230,7 +232,7 @@ def unknowns_of(
         belt=numbered(np.full(3, belt)),
         travel=numbered(np.full(3, travel)),
         poses=numbered(np.ones((geometry.shift.shape[0], 6), np.bool_)),
-        bend=numbered(np.full(BENDS if bend else 0, True)),
+        warp=numbered(np.full(WARP_COEFFICIENTS if warp else 0, True)),
         prints=numbered(np.empty((0, 2), np.bool_) if prints is None else prints),
     )
 
@@ -256,7 +258,9 @@ def _part(step: Floats, at: Integers) -> Floats:
     return np.where(at >= 0, step[np.maximum(at, 0)], 0.0)
 
 
-_BENT_ROUNDS = 3  # of meeting a ray with a bent board: each divides the error by the bend's slope, some 0.01
+_WARP_ROUNDS = (
+    3  # of meeting a ray with a warped board: each divides the error by the warp's slope, some 0.01
+)
 
 ON_BELT = -1
 """Pose of stripe points that lie on the bare belt."""
@@ -303,8 +307,8 @@ class StripePoints:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Feet:
-    """Points of boards that touch the belt: (foot,) pose, (foot, 3) place on the board, mm, and counts."""
+class BeltContacts:
+    """Points of boards that touch the belt: (n,) pose, (n, 3) place on the board, mm, and (n,) counts."""
 
     pose: Integers
     board_mm: Floats
@@ -340,10 +344,10 @@ def corner_rows(geometry: Geometry, unknowns: Unknowns, corners: Corners) -> Row
     values[:, :, CAMERA + 6 :] = by_at * corners.counts[:, None, None]
     columns = columns_of(unknowns.camera, unknowns.poses[corners.pose], unknowns.travel)
     rows = Rows(residual.ravel(), np.repeat(columns, 2, axis=0), values.reshape(-1, CAMERA + 9))
-    if unknowns.bend.size and geometry.bend is not None:
+    if unknowns.warp.size and geometry.warp is not None:
         away = (by_at @ geometry.rotation[corners.pose][:, :, 2:]).reshape(-1, 1)
-        by_bend = np.repeat(geometry.bend.by_coefficient(corners.board_mm[:, :2]), 2, axis=0)
-        rows = _with_more(rows, unknowns.bend, away * by_bend)
+        by_warp = np.repeat(geometry.warp.by_coefficient(corners.board_mm[:, :2]), 2, axis=0)
+        rows = _with_more(rows, unknowns.warp, away * by_warp)
     if unknowns.prints.size:
         place = _on_print(geometry, corners)[:, :2]
         by_place = by_at @ geometry.rotation[corners.pose][:, :, :2]
@@ -381,8 +385,8 @@ def stripe_rows(geometry: Geometry, unknowns: Unknowns, points: StripePoints) ->
     columns = np.column_stack([own, unknowns.planes[points.stripe], np.where(board, -1, unknowns.belt)])
     values /= slope[:, None]
     rows = Rows(way + more, columns, values)
-    if unknowns.bend.size and where.by_bend is not None:
-        rows = _with_more(rows, unknowns.bend, of_plane * where.by_bend / slope[:, None])
+    if unknowns.warp.size and where.by_warp is not None:
+        rows = _with_more(rows, unknowns.warp, of_plane * where.by_warp / slope[:, None])
     return rows
 
 
@@ -429,62 +433,62 @@ class _Lines:
         self.distance = (self.normal * self.place).sum(axis=1)
         if points.face is not None:
             self.distance = self.distance + points.face[:, 3]
-        self.by_bend: Floats | None = None
-        if geometry.bend is not None and points.face is None:
-            self._bend(geometry, geometry.bend, points)
+        self.by_warp: Floats | None = None
+        if geometry.warp is not None and points.face is None:
+            self._warp(geometry, geometry.warp, points)
         belt = geometry.belt if self.on_belt.any() else np.zeros(3)
         self._line = np.where(
             self.on_belt[:, None], self.plane - belt, self.distance[:, None] * self.plane - self.normal
         )
 
-    def _bend(self, geometry: Geometry, bend: Bend, points: StripePoints) -> None:
+    def _warp(self, geometry: Geometry, warp: BoardWarp, points: StripePoints) -> None:
         """Put in place of a board's plane the one that touches it where the ray meets it."""
         on = np.flatnonzero(~self.on_belt)
         rotation, place = geometry.rotation[points.pose[on]], self.place[on]
         ray = rays(self._camera, points.xy_px[on])
         normal, distance = self.normal[on], self.distance[on]
-        for _ in range(_BENT_ROUNDS):
+        for _ in range(_WARP_ROUNDS):
             at = ray * (distance / (normal * ray).sum(axis=1))[:, None]
             there = ((at - place)[:, None, :] @ rotation)[:, 0, :2]
-            own = np.column_stack([-bend.slopes(there), np.ones(on.size)])
+            own = np.column_stack([-warp.slopes(there), np.ones(on.size)])
             own /= np.sqrt((own**2).sum(axis=1))[:, None]
             normal = (rotation @ own[:, :, None])[:, :, 0]
-            touched = np.column_stack([there, bend.height_mm(there)])
+            touched = np.column_stack([there, warp.height_mm(there)])
             distance = (normal * place).sum(axis=1) + (own * touched).sum(axis=1)
         self.normal[on], self.distance[on] = normal, distance
-        self.by_bend = np.zeros((len(self.on_belt), bend.coefficients_mm.size))
-        self.by_bend[on] = own[:, 2:] * bend.by_coefficient(there)
+        self.by_warp = np.zeros((len(self.on_belt), warp.coefficients_mm.size))
+        self.by_warp[on] = own[:, 2:] * warp.by_coefficient(there)
 
     def way_px(self, x_px: Floats) -> tuple[Floats, Floats, Distorted, Floats, Floats, Floats]:
-        """Give the way to the line along the row, px; place in the bent image, lens, ray, ∂/∂place, slope."""
+        """Give the way to the line along the row, px; distorted place, lens, ray, ∂/∂place, slope."""
         focal = self._camera[:2]
         seen = (np.column_stack([x_px, self._row_px]) - self._camera[2:4]) / focal
         xy = undistort(seen, self._camera[4:], self._straight)
         lens = distort(xy, self._camera[4:])
         self._straight = xy
         ray = np.column_stack([xy, np.ones(len(xy))])
-        by_seen = by_bent(self._line, lens)
+        by_seen = by_distorted(self._line, lens)
         slope = by_seen[:, 0] / focal[0]
         return (self._line * ray).sum(axis=1) / slope, seen, lens, ray, by_seen, slope
 
 
-def by_bent(line: Floats, lens: Distorted) -> Floats:
-    """Give (n, 2) the derivatives of line·ray by the ray's place in the bent image; line is (n, 3)."""
+def by_distorted(line: Floats, lens: Distorted) -> Floats:
+    """Give (n, 2) the derivatives of line·ray by the ray's place in the distorted image; line is (n, 3)."""
     a, b, c, d = (lens.by_place[:, i, j] for i in (0, 1) for j in (0, 1))
     area = a * d - b * c
     u, v = line[:, 0] / area, line[:, 1] / area
     return np.column_stack([u * d - v * c, v * a - u * b])
 
 
-def foot_rows(geometry: Geometry, unknowns: Unknowns, feet: Feet) -> Rows:
+def contact_rows(geometry: Geometry, unknowns: Unknowns, contacts: BeltContacts) -> Rows:
     """Give heights of the boards' undersides over the belt, mm; they should be 0."""
-    arm, at = _placed(geometry, feet.pose, feet.board_mm, feet.counts)
+    arm, at = _placed(geometry, contacts.pose, contacts.board_mm, contacts.counts)
     size = float(np.sqrt((geometry.belt**2).sum()))
     up = np.broadcast_to(-geometry.belt / size, at.shape)
     residual = (1.0 - at @ geometry.belt) / size
     by_belt = -at / size - (residual / size**2)[:, None] * geometry.belt
-    values = np.column_stack([crossed(arm, up), up, up * feet.counts[:, None], by_belt])
-    columns = columns_of(unknowns.poses[feet.pose], unknowns.travel, unknowns.belt)
+    values = np.column_stack([crossed(arm, up), up, up * contacts.counts[:, None], by_belt])
+    columns = columns_of(unknowns.poses[contacts.pose], unknowns.travel, unknowns.belt)
     return Rows(residual, columns, values)
 
 
@@ -500,9 +504,9 @@ def _on_print(geometry: Geometry, corners: Corners) -> Floats:
         size = np.exp(geometry.prints[corners.board])
         way = np.column_stack([size[:, 0], size[:, 0] * size[:, 1], np.ones(len(size))])
         return np.asarray(corners.board_mm * way)
-    if geometry.bend is None:
+    if geometry.warp is None:
         return corners.board_mm
-    away = geometry.bend.height_mm(corners.board_mm[:, :2])
+    away = geometry.warp.height_mm(corners.board_mm[:, :2])
     return corners.board_mm + np.column_stack([np.zeros((away.size, 2)), away])
 
 
@@ -542,7 +546,7 @@ NO_CORNERS = Corners(_WHOLE, np.empty((0, 3)), _PAIRS, _NUMBERS, _WHOLE)
 NO_POINTS = StripePoints(_WHOLE, _WHOLE, _NUMBERS, _NUMBERS, _NUMBERS, _NUMBERS)
 
 
-NO_FEET = Feet(_WHOLE, np.empty((0, 3)), _NUMBERS)
+NO_CONTACTS = BeltContacts(_WHOLE, np.empty((0, 3)), _NUMBERS)
 
 
 NO_EDGES = Edges(_WHOLE, np.empty((0, 4)), np.empty((0, 4)), _PAIRS, _NUMBERS)
@@ -566,7 +570,7 @@ def edge_rows(geometry: Geometry, unknowns: Unknowns, edges: Edges) -> Rows:
     seen = (edges.xy_px - geometry.camera[2:4]) / focal
     ray = rays(geometry.camera, edges.xy_px)
     lens = distort(ray[:, :2], geometry.camera[4:])
-    by_seen = by_bent(line, lens)
+    by_seen = by_distorted(line, lens)
     slope = np.sqrt(((by_seen / focal) ** 2).sum(axis=1))
     on_face, on_wall = (face * ray).sum(axis=1)[:, None], (wall * ray).sum(axis=1)[:, None]
     by_turn = (

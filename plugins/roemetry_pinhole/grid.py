@@ -119,17 +119,12 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
         back @ across.covariance @ back.T,
         across.stripe_count,
     )
-    apart = one.shared - other.shared
-    surely = inverse_of_known(one.covariance + other.covariance)
-    off = float(np.sqrt(max(apart @ surely @ apart, 0.0) / max(np.linalg.matrix_rank(surely), 1)))
+    shared, covariance, off = one.combined(other)
     if off > APART_MAX:
         raise CalibrationError(
             f"the two families of lines give cameras that are {off:.1f} standard deviations apart",
             hint="is `lines` right, and did neither projector nor camera move between the images?",
         )
-    weights = 0.5 * inverse_of_known(one.covariance), 0.5 * inverse_of_known(other.covariance)
-    covariance = inverse_of_known(weights[0] + weights[1])
-    shared = one.shared + covariance @ weights[1] @ (other.shared - one.shared)
     # in the order of the parameters: camera, planes, belt, planes across
     follow = np.vstack([np.eye(15)[:12], one.gain, np.eye(15)[12:], other.gain])
     whole = follow @ covariance @ follow.T
@@ -192,6 +187,18 @@ class FamilyFound(NamedTuple):
         gain = with_them @ inverse_of_known(known)
         own = covariance[np.ix_(planes, planes)] - gain @ with_them.T
         return cls(values[shared], known, values[planes], own, gain)
+
+    def combined(self, other: FamilyFound) -> tuple[Floats, Floats, float]:
+        """Give the weighted mean of both `shared`, its covariance, and their distance in deviations.
+
+        Both families use the same board corners: each has half the weight, so that these count once.
+        """
+        apart = self.shared - other.shared
+        surely = inverse_of_known(self.covariance + other.covariance)
+        off = float(np.sqrt(max(apart @ surely @ apart, 0.0) / max(np.linalg.matrix_rank(surely), 1)))
+        weights = 0.5 * inverse_of_known(self.covariance), 0.5 * inverse_of_known(other.covariance)
+        covariance = inverse_of_known(weights[0] + weights[1])
+        return self.shared - covariance @ weights[1] @ apart, covariance, off
 
 
 def _turning(lines: int, columns: int) -> Floats:

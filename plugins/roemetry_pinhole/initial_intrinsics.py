@@ -1,4 +1,4 @@
-"""A first camera and first poses from the marks alone; views that do not fit are left out with the reason.
+"""Initial camera and poses from the marks alone; views that do not fit are left out with the reason.
 
 Model (Zhang 2000). Each view of a flat board is a homography; three and more of different tilts determine
 the camera's focal length. OpenCV's linear guess gives it, poses come from Collins and Bartoli's method
@@ -22,7 +22,7 @@ from roemetry.records import Board
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.boards import BoardView, Seen
 from roemetry_pinhole.bundle import Measured
-from roemetry_pinhole.geometry import CAMERA, Bend, Corners, Feet, Geometry, distort, unknowns_of
+from roemetry_pinhole.geometry import CAMERA, BeltContacts, BoardWarp, Corners, Geometry, distort, unknowns_of
 from roemetry_pinhole.pinhole_plane import camera_matrix
 
 _POSES_MIN = 4  # poses of an unknown camera: Zhang's method needs three, a fourth shows which one is wrong
@@ -47,7 +47,7 @@ FREE: dict[str, tuple[int, ...]] = {
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class FirstCamera:
+class InitialCamera:
     """Camera (12,), views that fit, and (view, 3, 3), (view, 3) their poses."""
 
     camera: Floats
@@ -61,7 +61,7 @@ class FirstCamera:
         return np.asarray(normal / (normal @ self.shift[number] + under_mm))
 
 
-def first_camera(
+def initial_camera(
     seen: Seen,
     image_size: tuple[int, int],
     lens: str,
@@ -69,7 +69,7 @@ def first_camera(
     tried: int,
     *,
     least_if_known: int = _POSES_MIN_KNOWN,
-) -> FirstCamera:
+) -> InitialCamera:
     """Find the camera, or only the poses where the camera is known.
 
     What is left out of the poses is added to `seen`; `lens` is a key of `FREE`, `known` (12,) the camera, if
@@ -94,7 +94,7 @@ def first_camera(
                 else "take ten to twenty poses: all over the image, at all heights, tilted in all directions",
             )
         if not views and known is not None:
-            return FirstCamera(known, [], np.empty((0, 3, 3)), np.empty((0, 3)))
+            return InitialCamera(known, [], np.empty((0, 3, 3)), np.empty((0, 3)))
         found = _solved(views, image_size, lens, known)
         rms = _rms(found)
         worst = int(rms.argmax())
@@ -133,7 +133,7 @@ def free_numbers(lens: str) -> Flags:
 
 def _solved(
     views: list[BoardView], image_size: tuple[int, int], lens: str, known: Floats | None
-) -> FirstCamera:
+) -> InitialCamera:
     """Poses of a guessed camera by Collins and Bartoli's method, then marks alone adjusted."""
     import cv2
 
@@ -156,11 +156,11 @@ def _solved(
     # the sixth order and the rational model come in by the joint adjustment: from a start without them it
     # goes to the right minimum
     free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(_SIMPLER[lens])
-    found = by_marks(FirstCamera(camera, views, rotation, shift), free).adjusted().geometry
-    return FirstCamera(found.camera, views, found.rotation, found.shift)
+    found = boards_alone(InitialCamera(camera, views, rotation, shift), free).adjusted().geometry
+    return InitialCamera(found.camera, views, found.rotation, found.shift)
 
 
-def _without_shift(view: BoardView, found: FirstCamera, number: int) -> BoardView:
+def _without_shift(view: BoardView, found: InitialCamera, number: int) -> BoardView:
     """Take off how far a circle's centre of gravity in the image lies from the image of its centre."""
     marks = view.marks
     radius, turn = np.meshgrid(np.sqrt((np.arange(6) + 0.5) / 6.0), np.arange(24) * np.pi / 12.0)
@@ -175,7 +175,7 @@ def _without_shift(view: BoardView, found: FirstCamera, number: int) -> BoardVie
     return replace(view, marks=replace(marks, xy_px=raw - shift), raw_px=raw)
 
 
-def _projected(found: FirstCamera, number: int, places: Floats) -> tuple[Floats, Floats]:
+def _projected(found: InitialCamera, number: int, places: Floats) -> tuple[Floats, Floats]:
     """Give (n, 2) places in the image, px, and how large a unit of the board's area is there."""
     at = places @ found.rotation[number].T + found.shift[number]
     lens = distort(at[:, :2] / at[:, 2:], found.camera[4:])
@@ -183,7 +183,7 @@ def _projected(found: FirstCamera, number: int, places: Floats) -> tuple[Floats,
     return lens.xy * found.camera[:2] + found.camera[2:4], area
 
 
-def _rms(found: FirstCamera) -> Floats:
+def _rms(found: InitialCamera) -> Floats:
     rms = []
     for number, view in enumerate(found.views):
         xy = _projected(found, number, view.marks.board_mm)[0]
@@ -200,25 +200,27 @@ def reasons(left_out: dict[str, str]) -> str:
     return "".join(f"\n  {', '.join(those)}: {why}" for why, those in each)
 
 
-def by_marks(first: FirstCamera, free: Flags, *, feet: bool = False, bent: Board | None = None) -> Measured:
+def boards_alone(
+    first: InitialCamera, free: Flags, *, contacts: bool = False, warped: Board | None = None
+) -> Measured:
     """Give what boards tell of the camera and their poses without any light on them.
 
-    With `feet` those that lie on the belt tell of it, too; `bent`: the shape of this board is looked for.
+    `contacts`: boards that lie on the belt determine it as well; `warped`: the board whose shape is fitted.
     """
     number, still = np.arange(len(first.views)), np.zeros(len(first.views))
-    lies = [n for n, view in enumerate(first.views) if feet and view.on_belt]
+    lies = [n for n, view in enumerate(first.views) if contacts and view.on_belt]
     belt = belt_under(first, lies[0]) if lies else np.full(3, np.nan)
-    bend = None if bent is None or not first.views else Bend.none(*bent.size_mm.tolist())
-    start = Geometry(first.camera, first.rotation, first.shift, belt=belt, bend=bend)
+    warp = None if warped is None or not first.views else BoardWarp.none(*warped.size_mm.tolist())
+    start = Geometry(first.camera, first.rotation, first.shift, belt=belt, warp=warp)
     unknowns = unknowns_of(start, free_camera=free, belt=bool(lies))
     found = Measured(start, unknowns, corners_of(first, number, still))
     if not lies:
         return found
-    stand, std_mm = feet_of(first.views, number, still)
-    return replace(found, feet=stand, foot_std_mm=std_mm)
+    stand, std_mm = contacts_of(first.views, number, still)
+    return replace(found, contacts=stand, contact_std_mm=std_mm)
 
 
-def corners_of(first: FirstCamera, pose: Integers, counts: Floats) -> Corners:
+def corners_of(first: InitialCamera, pose: Integers, counts: Floats) -> Corners:
     """Give the marks of all views, each with its pose (view,) and encoder counts (view,)."""
     marks = [view.marks for view in first.views]
     size = [len(one.xy_px) for one in marks]
@@ -231,12 +233,12 @@ def corners_of(first: FirstCamera, pose: Integers, counts: Floats) -> Corners:
     )
 
 
-def belt_under(first: FirstCamera, number: int) -> Floats:
+def belt_under(first: InitialCamera, number: int) -> Floats:
     """Give (3,) b·X = 1 of what the board of a view lies on."""
     return first.surface(number, first.views[number].board.thickness_mm)
 
 
-def feet_of(views: list[BoardView], pose: Integers, counts: Floats) -> tuple[Feet, Floats]:
+def contacts_of(views: list[BoardView], pose: Integers, counts: Floats) -> tuple[BeltContacts, Floats]:
     """Three corners of the underside of each board that lies on the belt; standard uncertainties, mm."""
     lies = [number for number, view in enumerate(views) if view.on_belt]
     places, std_mm = [np.empty((0, 3))], []
@@ -245,5 +247,7 @@ def feet_of(views: list[BoardView], pose: Integers, counts: Floats) -> tuple[Fee
         at = [[0.0, 0.0], [width, 0.0], [0.5 * width, height]]
         places.append(np.column_stack([at, np.full(3, board.thickness_mm)]))
         std_mm += [max(board.flatness_mm, 0.005) / np.sqrt(3.0)] * 3
-    feet = Feet(np.repeat(pose[lies], 3).astype(np.int64), np.concatenate(places), np.repeat(counts[lies], 3))
-    return feet, np.array(std_mm)
+    contacts = BeltContacts(
+        np.repeat(pose[lies], 3).astype(np.int64), np.concatenate(places), np.repeat(counts[lies], 3)
+    )
+    return contacts, np.array(std_mm)

@@ -381,11 +381,11 @@ def lift_stripes(
     height_std = np.full((stripes, rows), np.nan)
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     lens = lens_from(camera, 4)
-    bends, lost = False, 0
+    distorts, lost = False, 0
     for k in range(4, 12):
-        bends = bends or camera[k] != 0.0
+        distorts = distorts or camera[k] != 0.0
     for s in range(stripes):
-        off_x = off_y = gain_x = gain_y = 0.0  # straight − bent, and its change from row to row
+        off_x = off_y = gain_x = gain_y = 0.0  # undistorted − distorted, and its change from row to row
         followed = 0
         for r in range(rows):
             seen = x_px[s, r]
@@ -395,7 +395,7 @@ def lift_stripes(
             bent_x, bent_y = (seen - cx) / fx, (r - cy) / fy
             x, y = bent_x, bent_y
             xx, xy, yy, determinant = 1.0, 0.0, 1.0, 1.0
-            if bends:
+            if distorts:
                 if followed > 0:
                     x, y = x + off_x, y + off_y
                     if followed > 1:

@@ -25,14 +25,14 @@ from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry_pinhole.bundle import with_disagreement
 from roemetry_pinhole.from_solids import solids_in
-from roemetry_pinhole.geometry import Bend
-from roemetry_pinhole.joint import Joint
+from roemetry_pinhole.geometry import BoardWarp
+from roemetry_pinhole.joint_adjustment import JointAdjustment
 from roemetry_pinhole.pinhole_plane import by_parameter, flat, lines_at_height, parameters_of, points_of
 from roemetry_pinhole.plates import BELT_MM, plate_scale
 from roemetry_pinhole.prints import tolerance_of
 
 
-def of_lengths(joined: Joint, parameters: Mapping[str, Floats]) -> Floats:
+def of_lengths(joined: JointAdjustment, parameters: Mapping[str, Floats]) -> Floats:
     """Give the covariance that the targets' own tolerances add to that of the adjustment."""
     mean = flat(parameters)
     found = np.zeros((mean.size, mean.size))
@@ -61,7 +61,7 @@ _STILL = 1e-6  # relative change of the scale at which it ends: a hundredth of a
 
 
 def scaled_by_references(
-    joined: Joint, observed: CalibrationSet, made: Callable[[Joint], Calibration]
+    joined: JointAdjustment, observed: CalibrationSet, made: Callable[[JointAdjustment], Calibration]
 ) -> Calibration:
     """Make the calibration in which the references have the lengths that are described.
 
@@ -132,14 +132,14 @@ def _check_alike(by: str, name: str, what: str, ratio: float, std: float, hint: 
         )
 
 
-def rescaled(joined: Joint, factor: float) -> Joint:
+def rescaled(joined: JointAdjustment, factor: float) -> JointAdjustment:
     """Adjust again with a board that is larger by a factor; what stands under it keeps its thickness."""
     board, measured = joined.board, joined.measured
     assert board is not None, "the scale is that of a board"
     found = joined.adjusted.geometry
-    bend = found.bend
-    if bend is not None:
-        bend = Bend(factor * bend.middle_mm, factor * bend.reach_mm, factor * bend.coefficients_mm)
+    warp = found.warp
+    if warp is not None:
+        warp = BoardWarp(factor * warp.middle_mm, factor * warp.reach_mm, factor * warp.coefficients_mm)
     prints = found.prints + np.array([np.log(factor), 0.0])
     start = replace(
         found,
@@ -148,15 +148,15 @@ def rescaled(joined: Joint, factor: float) -> Joint:
         planes=found.planes / factor,
         belt=found.belt / factor,
         travel=factor * found.travel,
-        bend=bend,
+        warp=warp,
     )
-    corners, feet = measured.corners, measured.feet
+    corners, contacts = measured.corners, measured.contacts
     size = np.where(corners.board == 0, factor, 1.0)[:, None]
     measured = replace(
         measured,
         start=start,
         corners=replace(corners, board_mm=size * corners.board_mm),
-        feet=replace(feet, board_mm=feet.board_mm * [factor, factor, 1.0]),
+        contacts=replace(contacts, board_mm=contacts.board_mm * [factor, factor, 1.0]),
     )
     marker_mm = None if board.marker_mm is None else factor * board.marker_mm
     return replace(
@@ -201,7 +201,7 @@ class Reference:
 
 
 def check_scale(
-    calibration: Calibration, observed: CalibrationSet, joined: Joint | None = None
+    calibration: Calibration, observed: CalibrationSet, joined: JointAdjustment | None = None
 ) -> dict[str, Any]:
     """Measure solids, the prints and the belt's way; give residuals and notes with what was found.
 
@@ -240,7 +240,10 @@ _HINT = (
 
 
 def references(
-    calibration: Calibration, observed: CalibrationSet, board_std: float = 0.0, joined: Joint | None = None
+    calibration: Calibration,
+    observed: CalibrationSet,
+    board_std: float = 0.0,
+    joined: JointAdjustment | None = None,
 ) -> tuple[list[Reference], list[str]]:
     """Give what can be measured with a calibration though it is known, and notes on what was seen.
 
@@ -344,7 +347,7 @@ def _height_by_parameter(calibration: Calibration, height_mm: float) -> Floats:
     return by_parameter(calibration, lambda drawn: points_of(drawn, *places)[:, 2].mean()) / height_mm
 
 
-def check_beside_solids(
+def with_solid_checks(
     calibration: Calibration, observed: CalibrationSet, made: Callable[[CalibrationSet], Calibration]
 ) -> dict[str, Any]:
     """Give residuals and notes of a calibration from solids with what its other targets say."""

@@ -26,7 +26,7 @@ from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.boards import on_board, on_even_print
 from roemetry_pinhole.bundle import MAD_TO_STD
 from roemetry_pinhole.geometry import ON_BELT, StripePoints, rays
-from roemetry_pinhole.initial_intrinsics import FirstCamera, belt_under, reasons
+from roemetry_pinhole.initial_intrinsics import InitialCamera, belt_under, reasons
 from roemetry_pinhole.numbering import PoseLines, number_stripes
 from roemetry_pinhole.prints import first_sizes
 
@@ -195,17 +195,17 @@ class Gathered:
     belt: Floats | None
     """(3,) a first estimate of the belt from the empty belt's images; None without any."""
     print_share: float
-    stray_share: float
-    """print_share, stray_share: share of the boards' peaks that is not used because the print under the
+    outlier_share: float
+    """print_share, outlier_share: share of the boards' peaks that is not used because the print under the
     stripe is uneven, and of the others because it is far off its stripe."""
     sizes: Floats
     """(board,) a first estimate of how much larger each print is than described."""
-    strange: tuple[int, ...] = ()
+    outlying_views: tuple[int, ...] = ()
     """Views whose stripes contradict the others', by number: their marks are not to be trusted either."""
 
 
 def gather(
-    first: FirstCamera,
+    first: InitialCamera,
     belts: tuple[Observation, ...],
     stripes: int,
     travelled: Floats,
@@ -283,9 +283,9 @@ def gather(
         planes=numbered.planes,
         belt=belt,
         print_share=1.0 - on_even / max(on_stripes, 1),
-        stray_share=1.0 - kept / max(on_even, 1),
+        outlier_share=1.0 - kept / max(on_even, 1),
         sizes=sizes,
-        strange=tuple(
+        outlying_views=tuple(
             one.number for one, pose in zip(found, poses, strict=True) if pose.name in numbered.moved
         ),
     )
@@ -337,7 +337,7 @@ def _in_space(name: str, lines: list[StripeLine], xy: Floats, plane: Floats) -> 
     return PoseLines(name, ends, np.array([line.peak.size for line in lines]))
 
 
-def _belt_pose(first: FirstCamera, belts: tuple[Observation, ...], stripes: int) -> PoseLines | None:
+def _belt_pose(first: InitialCamera, belts: tuple[Observation, ...], stripes: int) -> PoseLines | None:
     """Give the lines on the empty belt, where a board lay on it; the image with the right number of them."""
     lies = [number for number, view in enumerate(first.views) if view.on_belt]
     for view in belts if lies else ():

@@ -19,7 +19,7 @@ from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Calibrator, Capabilities
 from roemetry_pinhole.calibrator import BoardOptions, PinholeCalibrator, PinholeCalibratorOptions
-from roemetry_pinhole.grid import APART_MAX, FamilyFound, inverse_of_known
+from roemetry_pinhole.grid import APART_MAX, FamilyFound
 from roemetry_pinhole.pinhole_plane import derived, flat
 
 
@@ -79,17 +79,12 @@ def _part(observed: CalibrationSet, family: int) -> CalibrationSet:
 def _joined(first: Calibration, second: Calibration) -> Calibration:
     """Give the calibration of both families, whose planes take turns."""
     one, other = (FamilyFound.of(flat(x.parameters), x.covariance, x.stripe_count) for x in (first, second))
-    apart = one.shared - other.shared
-    surely = inverse_of_known(one.covariance + other.covariance)
-    off = float(np.sqrt(max(apart @ surely @ apart, 0.0) / max(np.linalg.matrix_rank(surely), 1)))
+    shared, covariance, off = one.combined(other)
     if off > APART_MAX:
         raise CalibrationError(
             f"the lines of the two colours give cameras that are {off:.1f} standard deviations apart",
             hint="did neither projector nor camera move between the images?",
         )
-    weights = 0.5 * inverse_of_known(one.covariance), 0.5 * inverse_of_known(other.covariance)
-    covariance = inverse_of_known(weights[0] + weights[1])
-    shared = one.shared + covariance @ weights[1] @ (other.shared - one.shared)
     count = first.stripe_count + second.stripe_count
     planes, gain, own = np.empty((count, 3)), np.empty((count, 3, 15)), np.zeros((count, 3, count, 3))
     for start, found in enumerate((one, other)):

@@ -36,8 +36,8 @@ from roemetry_pinhole.geometry import (
     rays,
     unknowns_of,
 )
-from roemetry_pinhole.initial_intrinsics import FirstCamera
-from roemetry_pinhole.joint import Joint
+from roemetry_pinhole.initial_intrinsics import InitialCamera
+from roemetry_pinhole.joint_adjustment import JointAdjustment
 from roemetry_pinhole.pinhole_plane import belt_pose
 
 _CELLS = 6
@@ -66,8 +66,8 @@ _GRAZING_MIN = 0.02
 px is then 10 mm of height and more."""
 _USED_MIN = 0.75
 """Share of marks, and of stripe peaks on even print, that must fit. Least squares after trimming at 4.5
-standard deviations holds up to about a third of strays."""
-_STRIPE_USED_MIN = 0.5  # the same of each stripe alone: with less, what is left may be the strays
+standard deviations holds up to about a third of outliers."""
+_STRIPE_USED_MIN = 0.5  # the same of each stripe alone: with less, what is left may be the outliers
 _SYSTEMATIC_TOLD_PX = 0.05  # from here on a shared error is told: half the noise of a mark
 _CONFLICT_LITTLE = 10.0
 """Up to here stripes pull camera and poses off the marks by about three standard deviations in all."""
@@ -86,7 +86,7 @@ class Verdict:
     height_max_mm: float
 
 
-def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
+def judged(joined: JointAdjustment, *, scale_is_known: bool = True) -> Verdict:
     """Judge an adjustment; `scale_is_known` says whether the board's pitch is what lengths come from.
 
     Raises
@@ -138,7 +138,7 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
         "stripes_rms_px": _rms(adjusted.stripe_px[used]),
         "stripes_rms_mm": _rms(plane_distances(adjusted.geometry, joined.measured.points)[used]),
         "stripes_over_stated": adjusted.stripe_scale,
-        "stripes_left_out": _stray_share(joined),
+        "stripes_left_out": _outlier_share(joined),
         "stripes_on_uneven_print": joined.print_share,
         "stripes_correlation": adjusted.correlation,
         "poses_over_stated": float(np.sqrt(adjusted.disagreement)),
@@ -147,7 +147,7 @@ def judged(joined: Joint, *, scale_is_known: bool = True) -> Verdict:
     return Verdict(residuals, tuple(notes), *_heights_reached(joined))
 
 
-def _of_marks(joined: Joint, *, scale_is_known: bool) -> tuple[dict[str, float], list[str]]:
+def _of_marks(joined: JointAdjustment, *, scale_is_known: bool) -> tuple[dict[str, float], list[str]]:
     """Figures and notes of the boards' marks."""
     adjusted = joined.adjusted
     rms_px = float(np.sqrt((adjusted.corner_px[adjusted.corner_used] ** 2).sum(axis=1).mean()))
@@ -167,10 +167,10 @@ def _of_marks(joined: Joint, *, scale_is_known: bool) -> tuple[dict[str, float],
         )
     if joined.board is not None and joined.solids is None and scale_is_known:
         notes.append(f"scale: from the board's pitch of {joined.board.pitch_mm:g} mm")
-    bend = adjusted.geometry.bend
-    shape = {} if bend is None else {"board_bend_mm": bend.range_mm()}
-    if bend is not None:
-        notes.append(f"the board's shape was looked for: its print is bent by {bend.range_mm():.3f} mm")
+    warp = adjusted.geometry.warp
+    shape = {} if warp is None else {"board_bend_mm": warp.range_mm()}
+    if warp is not None:
+        notes.append(f"the board's shape was looked for: its print is bent by {warp.range_mm():.3f} mm")
     if coverage < _COVERAGE_MIN:
         notes.append(f"board corners cover {coverage:.0%} of the image: elsewhere the lens is extrapolated")
     figures = {
@@ -210,17 +210,17 @@ def _check_planes_pass_by(adjusted: Adjusted) -> None:
         )
 
 
-def _stray_share(joined: Joint) -> float:
+def _outlier_share(joined: JointAdjustment) -> float:
     """Share of the stripe peaks that are left out as far off, those on uneven print apart."""
     used = joined.adjusted.stripe_used
-    return 1.0 - (1.0 - joined.stray_share) * (float(used.mean()) if used.size else 1.0)
+    return 1.0 - (1.0 - joined.outlier_share) * (float(used.mean()) if used.size else 1.0)
 
 
-def _check_used(joined: Joint) -> None:
+def _check_used(joined: JointAdjustment) -> None:
     """Refuse where too much was left out as far off."""
     adjusted, stripe = joined.adjusted, joined.measured.points.stripe
     marks = 1.0 - float(adjusted.corner_used.mean()) if adjusted.corner_used.size else 0.0
-    shares = [("board corners", marks, _USED_MIN), ("stripe peaks", _stray_share(joined), _USED_MIN)]
+    shares = [("board corners", marks, _USED_MIN), ("stripe peaks", _outlier_share(joined), _USED_MIN)]
     for number in np.unique(stripe):
         left = 1.0 - float(adjusted.stripe_used[stripe == number].mean())
         shares.append((f"peaks of stripe {number + 1}", left, _STRIPE_USED_MIN))
@@ -232,7 +232,7 @@ def _check_used(joined: Joint) -> None:
             )
 
 
-def _check_planes(adjusted: Adjusted, joined: Joint) -> None:
+def _check_planes(adjusted: Adjusted, joined: JointAdjustment) -> None:
     """Refuse where a stripe's points do not lie in one plane, by the others' residuals or by those stated."""
     points = joined.measured.points
     stripes = np.unique(points.stripe)
@@ -259,7 +259,7 @@ def _check_planes(adjusted: Adjusted, joined: Joint) -> None:
         )
 
 
-def _systematic(adjusted: Adjusted, first: FirstCamera, size: tuple[int, int]) -> tuple[float, float]:
+def _systematic(adjusted: Adjusted, first: InitialCamera, size: tuple[int, int]) -> tuple[float, float]:
     """Part of the marks' residuals that neighbours in the image share, px, and the share of cells with marks.
 
     Squares of the means over cells of the image, less what noise alone gives them.
@@ -279,7 +279,7 @@ def _systematic(adjusted: Adjusted, first: FirstCamera, size: tuple[int, int]) -
     return float(systematic), float(np.unique(cell).size / _CELLS**2)
 
 
-def _heights_reached(joined: Joint) -> tuple[float, float]:
+def _heights_reached(joined: JointAdjustment) -> tuple[float, float]:
     """Least and greatest height over the belt of the boards' middles, or of solids, mm; 0 without either."""
     geometry = joined.adjusted.geometry
     if joined.solids is not None:
@@ -322,7 +322,7 @@ def cross_validate(measured: Measured, found: Geometry) -> CrossValidation:
     What the adjustment of all found is a start for those of less.
     """
     poses = np.unique(measured.corners.pose)
-    spare = np.setdiff1d(poses, measured.feet.pose)
+    spare = np.setdiff1d(poses, measured.contacts.pose)
     folds = min(_FOLDS, spare.size)
     parts: list[tuple[Any, ...]] = []
     skipped = 0
@@ -335,7 +335,7 @@ def cross_validate(measured: Measured, found: Geometry) -> CrossValidation:
             continue
         for pose in out:
             # the board's pose from its own marks, with that camera
-            start = replace(found, camera=geometry.camera, bend=geometry.bend)
+            start = replace(found, camera=geometry.camera, warp=geometry.warp)
             alone = measured.of(np.array([pose]), start)
             unknowns = unknowns_of(alone.start, free_camera=np.zeros(CAMERA, np.bool_))
             board = Measured(alone.start, unknowns, alone.corners).adjusted().geometry
@@ -362,8 +362,8 @@ def _heights(geometry: Geometry, board: Geometry, points: StripePoints) -> Float
     up = -geometry.belt / np.sqrt(geometry.belt @ geometry.belt)
     away = lifted(geometry, points) - place
     off = away @ normal
-    if board.bend is not None:
-        off = off - board.bend.height_mm((away @ board.rotation[0])[:, :2])
+    if board.warp is not None:
+        off = off - board.warp.height_mm((away @ board.rotation[0])[:, :2])
     return np.asarray(off / (normal @ up))
 
 
@@ -386,13 +386,13 @@ def stripe_offsets(geometry: Geometry, points: StripePoints) -> tuple[Floats, Fl
     """
     offset, at, surface = [], [], []
     xyz = lifted(geometry, points)
-    if geometry.bend is not None and points.face is None:
+    if geometry.warp is not None and points.face is None:
         # as if the board's print were its plane
         on = np.flatnonzero(points.pose != ON_BELT)
         rotation, place = geometry.rotation[points.pose[on]], geometry.shift[points.pose[on]]
         place = place + points.counts[on, None] * geometry.travel
         there = ((xyz[on] - place)[:, None, :] @ rotation)[:, 0, :2]
-        xyz[on] -= geometry.bend.height_mm(there)[:, None] * rotation[:, :, 2]
+        xyz[on] -= geometry.warp.height_mm(there)[:, None] * rotation[:, :, 2]
     level = np.zeros(points.pose.size, np.int64)
     if points.face is not None:
         level = np.unique(points.face, axis=0, return_inverse=True)[1].ravel()
@@ -426,7 +426,7 @@ _UNUSABLE = 10.0
 """Times the limit of a thousandth of the height range: heights are off by a hundredth of the range."""
 
 
-def evidence_of(joined: Joint, calibration: Calibration) -> Evidence:
+def evidence_of(joined: JointAdjustment, calibration: Calibration) -> Evidence:
     """Show what speaks for a calibration, and judge it in words."""
     held = cross_validate(joined.measured, joined.adjusted.geometry)
     offsets = stripe_offsets(joined.adjusted.geometry, joined.measured.points)
@@ -438,7 +438,7 @@ def evidence_of(joined: Joint, calibration: Calibration) -> Evidence:
 
 
 def _residuals(
-    joined: Joint, held: CrossValidation, offsets: tuple[Floats, Floats, Integers]
+    joined: JointAdjustment, held: CrossValidation, offsets: tuple[Floats, Floats, Integers]
 ) -> tuple[Residuals, ...]:
     adjusted, measured = joined.adjusted, joined.measured
     marks, used = measured.corners, adjusted.corner_used
@@ -481,7 +481,7 @@ def _residuals(
 
 
 def _figures(
-    joined: Joint, held: CrossValidation, offset_mm: Floats, calibration: Calibration
+    joined: JointAdjustment, held: CrossValidation, offset_mm: Floats, calibration: Calibration
 ) -> dict[str, EvidenceFigure]:
     adjusted, residuals = joined.adjusted, calibration.residuals
     found = {}
@@ -514,7 +514,7 @@ def _figures(
             f"{means.size} boards; at most a thousandth of the height range",
             thousandth_mm,
         )
-    found["strays"] = EvidenceFigure(
+    found["outliers"] = EvidenceFigure(
         "stripe peaks left out as far off",
         residuals["stripes_left_out"],
         "1",
@@ -565,7 +565,7 @@ def _verdict(
         "bias": "Held-out boards lie at wrong heights: a bent board, or too few poses.",
         "agree": "Stripes contradict each other by {:.0f} µm on one surface: steps between stripes of that "
         "size are the calibration's, not the product's.",
-        "strays": "{:.0%} of the stripe peaks on even print are far off and not used: look at the laser "
+        "outliers": "{:.0%} of the stripe peaks on even print are far off and not used: look at the laser "
         "images for reflections, a lamp, or a board that moved.",
         "noise": "Stripe peaks scatter {:.1f} times as much as the extractor states: what is stated of "
         "heights by their peaks is too small by so much.",
@@ -584,6 +584,6 @@ def _rms(values: Floats) -> float:
 
 
 def _robust_rms(values: Floats) -> float:
-    """Rms without what is beyond six times the median: strays are left out of the adjustment as well."""
+    """Rms without what is beyond six times the median: outliers are left out of the adjustment as well."""
     size = np.abs(values)
     return _rms(values[size <= 6.0 * max(float(np.median(size)), 1e-12)])

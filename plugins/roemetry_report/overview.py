@@ -110,7 +110,7 @@ def overview(run: Run, products_max: int, worst_max: int) -> Overview:
                     of_kind.append(replace(together, why=f"an example of {kind}"))
         if index < products_max:
             first.append(together)
-        elif worst_max and (bad := max(map(badness, together.rows))) > 0:
+        elif worst_max and (bad := max(map(severity, together.rows))) > 0:
             suspects.append((-bad, index, replace(together, why=FAULTY)))
             if len(suspects) > _SUSPECTS_PER_PLACE * worst_max:
                 suspects = sorted(suspects)[: len(suspects) // 2]
@@ -131,7 +131,8 @@ def overview(run: Run, products_max: int, worst_max: int) -> Overview:
         rows=tuple(rows),
         common=common if common and statuses["measured"] > 1 else (),
         shown=(*shown.values(), *worst[:worst_max]),
-        calibrated=_calibrated(run.provenance, finite),
+        calibrated=finite
+        or any(run.provenance.get(key) is not None for key in ("calibration_sha256", "calibration")),
         quantities=seen.quantities() if long else (),
         causes=seen.causes() if long else (),
     )
@@ -140,7 +141,7 @@ def overview(run: Run, products_max: int, worst_max: int) -> Overview:
 FAULTY = "shown for its faults"
 
 
-def badness(row: Measurement) -> float:
+def severity(row: Measurement) -> float:
     """How much a row wants looking at: failed most, then the larger of ambiguous and not seen shares."""
     if row.status == "failed":
         return 2.0
@@ -155,10 +156,6 @@ def badness(row: Measurement) -> float:
     else:
         unseen = 0.0
     return max(ambiguous, unseen)
-
-
-def _calibrated(provenance: Mapping[str, object], finite: bool) -> bool:
-    return finite or any(provenance.get(key) is not None for key in ("calibration_sha256", "calibration"))
 
 
 _FULL_REASONS = 3

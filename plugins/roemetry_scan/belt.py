@@ -41,6 +41,10 @@ _EDGE_POINTS, _EDGE_SHARE = 3, 0.3
 of the product's height at the other edge of the shadow."""
 
 
+_AREA_MIN_MM2 = 25.0
+"""Smaller regions are dirt: half the area of a pea. Crumbs that are as high as a product are smaller."""
+
+
 class BeltOptions(StageOptions):
     """What is belt and what is product."""
 
@@ -51,7 +55,6 @@ class BeltOptions(StageOptions):
         default=1.5, gt=0, le=500, description="a product rises so far over the belt somewhere, mm"
     )
     gap_mm: float = Field(default=2.0, ge=0, le=500, description="closer pieces are one product, mm")
-    area_min_mm2: float = Field(default=25.0, ge=0, description="smaller ones are dirt, mm²")
 
 
 def plane_of_belt(points_mm: Floats, near_mm: float) -> Floats:
@@ -153,7 +156,7 @@ def products_on(
     top = np.full(count, -np.inf)
     np.maximum.at(top, index, height_mm[on])
     area = np.bincount(index, minlength=count) * steps_mm[0] * steps_mm[1]
-    good = (top >= options.height_min_mm) & (area >= options.area_min_mm2)
+    good = (top >= options.height_min_mm) & (area >= _AREA_MIN_MM2)
     good[0] = False
     number = np.zeros(count, np.int16)
     first = {int(k): int(np.flatnonzero((region == k).any(axis=1))[0]) for k in np.flatnonzero(good)}

@@ -43,7 +43,7 @@ def register_heads(
     from roemetry.io.files import write_whole
     from roemetry.io.yaml_source import dump
     from roemetry_scan.closed import ball_centres, first_counts, refuse_other_pitch, registered
-    from roemetry_scan.side_by_side import looked_at, registered_beside
+    from roemetry_scan.side_by_side import register_side_by_side, whole_ball_extent
 
     described = read_sphere_plate(plate.name, plate.parent)
     assert described is not None
@@ -59,15 +59,15 @@ def register_heads(
         refuse_other_pitch(balls, described, str(recipe))
     if beside:
         looked = (
-            looked_at(plates[0], described.diameter_mm / 2),
-            looked_at(plates[1], described.diameter_mm / 2),
+            whole_ball_extent(plates[0], described.diameter_mm / 2),
+            whole_ball_extent(plates[1], described.diameter_mm / 2),
         )
         # of a ball at the end of what a head sees the centre is not known
         whole = [
             one[((one[:, :2] > low) & (one[:, :2] < high)).all(axis=1)]
             for one, (low, high) in zip(centres, looked, strict=True)
         ]
-        found = registered_beside(whole[0], whole[1], looked, apart)
+        found = register_side_by_side(whole[0], whole[1], looked, apart)
     else:
         found = registered(*centres)
     told = {"roemetry_registration": 1, _BESIDE if beside else _ABOVE: found.T_top_bottom.tolist()}

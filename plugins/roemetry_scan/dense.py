@@ -115,7 +115,7 @@ class DenseSlices(VolumeEstimator[StageOptions]):
             slice_stripe=found.place,
             slice_area_mm2=found.area_mm2,
             slice_spacing_mm=found.held_mm,
-            reasons=said_of(found),
+            reasons=reasons_of(found),
         )
 
     def surface(self, product: Product) -> Surface:
@@ -213,7 +213,7 @@ def shares_of(found: Sections) -> Shares:
     return Shares(seen / total, joined / total, assumed / total)
 
 
-def said_of(found: Sections) -> tuple[Reason, ...]:
+def reasons_of(found: Sections) -> tuple[Reason, ...]:
     """Say what lost lines left out of the product."""
     whole = float(found.area_mm2 @ found.held_mm)
     share = 1.0 - float(found.area_mm2 @ found.own_mm) / whole if whole > 0.0 else 0.0

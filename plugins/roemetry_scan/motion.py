@@ -32,7 +32,7 @@ from roemetry.records.calibration import Calibration
 from roemetry.records.scan import Motion
 from roemetry.stages import Triangulator
 from roemetry_scan.belt import plane_of_belt
-from roemetry_scan.counting import counted
+from roemetry_scan.encoder_places import encoder_places
 from roemetry_scan.line_ends import line_ends
 from roemetry_scan.rows import placed, points_of_rows
 
@@ -44,7 +44,7 @@ _POINTS = 6000
 _YAWS_DEG = range(-40, 45, 5)
 """Turns that are tried first: squares and grids look alike every 90°."""
 _ROUNDS, _ROUNDS_FIRST = 40, 15
-"""At most; and so many until strangers are left out, which a quarter of the points tell."""
+"""At most; and so many until outliers are left out, which a quarter of the points tell."""
 _SETTLED_MM = 1e-5
 """No point moves farther with another round: a thousandth of their scatter."""
 _TOGETHER = 9.0
@@ -70,7 +70,7 @@ def measured_motion(
 ) -> tuple[Motion, Mapping[str, float]]:
     """Fit the motion; CalibrationError says why it could not be told."""
     try:
-        found = counted(lines.count, lines.number)
+        found = encoder_places(lines.count, lines.number)
     except RoemetryError as error:
         raise CalibrationError(f"the scan of the target: {error.message}", hint=error.hint) from error
     line = np.flatnonzero(found.used)

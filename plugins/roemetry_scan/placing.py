@@ -34,15 +34,15 @@ from roemetry.records.calibration import Calibration
 from roemetry.records.scan import Motion
 from roemetry.stages import Assembler, StageOptions, Triangulator
 from roemetry_scan.belt import BeltOptions, fitted_plane, frame_on, plane_of_belt, products_on
-from roemetry_scan.counting import counted
+from roemetry_scan.encoder_places import encoder_places
 from roemetry_scan.flanks import followed, usual_step
+from roemetry_scan.hidden_margin import beside_mm3
 from roemetry_scan.line_ends import line_ends, longer_by
 from roemetry_scan.motion import measured_motion
-from roemetry_scan.rim_doubt import rim_mm3
+from roemetry_scan.rim_uncertainty import rim_mm3
 from roemetry_scan.rows import RowTable, placed, points_of_rows
 from roemetry_scan.slip import slip_of
 from roemetry_scan.torn_lines import torn_lines
-from roemetry_scan.unseen import beside_mm3
 
 _NEAR_MM = 0.3
 """Belt lies so near to its plane where its own scatter is not known yet, mm."""
@@ -84,7 +84,7 @@ class BeltMotion(Assembler[BeltOptions]):
     ) -> Profiles:
         """Give the slices of the middle stripe in the moving frame, in the order in which they were taken."""
         motion = motion_of(calibration)
-        found = counted(lines.count, lines.number)
+        found = encoder_places(lines.count, lines.number)
         per_line = stripes.stripe_count // len(lines.count)
         middle = calibration.stripe_count // 2
         first = middle if per_line > 1 else 0
@@ -205,7 +205,7 @@ class BeltMotion(Assembler[BeltOptions]):
             noise = 1.4826 * float(np.median(np.abs(height[np.abs(height) < _NEAR_MM])))
         steps = (usual_step(profiles.xyz_mm, 0), usual_step(profiles.xyz_mm, 1))
         number = products_on(height, steps, noise, self.options)
-        number[_strayed(profiles.height_std_mm, number == 0)] = -1
+        number[_outlying(profiles.height_std_mm, number == 0)] = -1
         if own is not None:
             number = _owned(number, profiles.frame, own)
         figures = profiles.scan
@@ -285,13 +285,13 @@ def _some(xyz_mm: Floats, chosen: Flags) -> Floats:
     return some
 
 
-def _strayed(std_mm: Floats, belt: Flags) -> Flags:
+def _outlying(std_mm: Floats, belt: Flags) -> Flags:
     """Say which belt is light of the next row, which a lens has blurred over an edge.
 
     That row shows no belt, or a flank too dim to stand out. Such light is much dimmer, so much less certain
     than the belt of the same row in other slices.
     """
-    strayed = np.empty(belt.shape, np.bool_)
+    outlying = np.empty(belt.shape, np.bool_)
     usual_mm = np.empty((len(belt), 1))  # of each slice: noise is judged by lines that were read together
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a slice or a row without belt
@@ -301,8 +301,8 @@ def _strayed(std_mm: Floats, belt: Flags) -> Flags:
         for begin in range(0, belt.shape[1], _AT_ONCE):
             some = slice(begin, begin + _AT_ONCE)
             stated = np.where(belt[:, some], std_mm[:, some], np.nan) / usual_mm
-            np.greater(stated, _STRAY_FACTOR * np.nanmedian(stated, axis=0), out=strayed[:, some])
-    return strayed
+            np.greater(stated, _STRAY_FACTOR * np.nanmedian(stated, axis=0), out=outlying[:, some])
+    return outlying
 
 
 def _owned(number: Any, frame: Any, own: tuple[int, int]) -> Any:

@@ -48,7 +48,7 @@ class Joined(NamedTuple):
     """Standard uncertainty of one head's heights against another's."""
 
 
-def registered_beside(
+def register_side_by_side(
     left: Floats, right: Floats, seen_mm: tuple[Floats, Floats], apart_mm: float | None = None
 ) -> Registration:
     """Find the rigid motion that lays the right head's balls (n, 3) on those of the left one.
@@ -161,7 +161,7 @@ def _contradicts_none(
     return True
 
 
-def looked_at(profiles: Profiles, radius_mm: float) -> Floats:
+def whole_ball_extent(profiles: Profiles, radius_mm: float) -> Floats:
     """Give (2, 2) the least and the largest (X, Y) at which a ball of this radius would be seen whole, mm."""
     points = profiles.xyz_mm[profiles.seen & np.isfinite(profiles.xyz_mm[..., 0])]
     low, high = (np.quantile(points[:, :2], q, axis=0) for q in (0.001, 0.999))

@@ -82,7 +82,7 @@ def torn_lines(height_mm: Floats, oblique_rows: int) -> Flags:
             clear = told[k, asked[0] : asked[-1] + 1].mean() >= _CLEAR
             found[first + k] |= clear and _longest_run(unseen[k, asked]) >= _ON_END * many[k]
     for end in _ends_of_parts(height_mm):
-        found |= _astray(end)
+        found |= _outliers(end)
     return found
 
 
@@ -107,7 +107,7 @@ def _ends_of_parts(height_mm: Floats) -> tuple[Floats, Floats]:
     return first, last
 
 
-def _astray(end: Floats) -> Flags:
+def _outliers(end: Floats) -> Flags:
     """Say which lines' ends (line,) lie away from those of the two lines before and the two after."""
     around = np.stack([end[:-4], end[1:-3], end[3:-1], end[4:]])
     off = np.abs(end[2:-2] - np.median(around, axis=0))

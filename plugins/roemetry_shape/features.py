@@ -143,7 +143,7 @@ def features_of(cuts: Sections) -> dict[str, float]:
     return {
         **_size(frame),
         **_axis(body),
-        **_lean(body),
+        **dict(zip(_LEAN, lean_numbers(body.height_mm, body.half_width_mm), strict=True)),
         **_hollows(body),
         **_pits(body),
         **_runs(body),
@@ -157,7 +157,7 @@ def _above_foot(sections: Sections) -> Sections:
     Where a section's last lit row lies on its steep foot is a matter of light: an edge that is seen 1 mm
     farther out moves the middle by half of it, and a dome off its middle leans.
     """
-    middle, half, height = from_foot_to_foot(
+    middle, half, height = above_foot(
         sections.height_mm, sections.across_mm, sections.middle_mm, sections.half_width_mm
     )
     return sections._replace(
@@ -166,7 +166,7 @@ def _above_foot(sections: Sections) -> Sections:
 
 
 @float_kernel
-def from_foot_to_foot(
+def above_foot(
     height_mm: Floats, across_mm: Floats, middle_mm: Floats, half_width_mm: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Give (section, 2) middles, (section,) half widths and (section, sample) heights above the foot."""
@@ -335,11 +335,6 @@ _LEAN = (
     "twist_deg", "twist_of_ends_deg", "twist_of_flanks_deg", "lean_range_deg", "lean_uneven_deg",
     "stoutness_spread",
 )  # fmt: skip
-
-
-def _lean(sections: Sections) -> dict[str, float]:
-    """Lean of the sections to one side, and how it changes along: twist."""
-    return dict(zip(_LEAN, lean_numbers(sections.height_mm, sections.half_width_mm), strict=True))
 
 
 @float_kernel

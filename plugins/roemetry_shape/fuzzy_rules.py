@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from roemetry.records import Grade, Product, Reason, Relief
 from roemetry.stages import Classifier, StageOptions
 from roemetry_shape.features import SMOOTHING_MM, shape_features, shape_of
-from roemetry_shape.product_frame import doubt_of
+from roemetry_shape.product_frame import decisive_feature
 
 UNKNOWN = "unknown"
 _NEARLY = 0.5
@@ -112,7 +112,7 @@ class FuzzyRules(Classifier[FuzzyRulesOptions]):
             why = " and ".join(f"{name} ({value:.2f})" for name, value in ranked[:2]) + " are nearly as true"
             return Grade(UNKNOWN, features=told, reasons=(Reason("rules-tie", why),))
         label, truth = ranked[0]
-        doubt = doubt_of(
+        doubt = decisive_feature(
             features, {term.feature for term in self.options.terms.values()}, label, self._truest
         )
         if doubt is not None:

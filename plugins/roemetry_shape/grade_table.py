@@ -77,9 +77,6 @@ class GradeTableOptions(StageOptions):
         le=10.0,
         description="guard band at each limit, in standard uncertainties; 1.65: 95 % of one side; 0: none",
     )
-    shape_probability_min: float = Field(
-        default=0.95, ge=0.0, le=1.0, description="a class of shape less likely than this is not sure"
-    )
     std: dict[str, Std] = Field(
         default_factory=dict,
         description="standard uncertainty by quantity, in its unit, where the run does not state it in full",
@@ -178,7 +175,7 @@ class GradeTable(Grader[GradeTableOptions]):
 
     def _asked(self, row: GradeClass, found: Quantities) -> tuple[Verdict, str]:
         """Say whether a product is of a class, and by what."""
-        asked = [_shape(row.shape, found.grade, self.options.shape_probability_min)] if row.shape else []
+        asked = [_shape(row.shape, found.grade)] if row.shape else []
         factor = self.options.guard_factor
         asked += [_limit(name, limits, found, factor) for name, limits in row.limits.items()]
         for wanted in ("out", "open"):
@@ -188,12 +185,16 @@ class GradeTable(Grader[GradeTableOptions]):
         return "in", "; ".join(why for _, why in asked) or "it asks for nothing"
 
 
-def _shape(wanted: tuple[str, ...], grade: Grade | None, probability_min: float) -> tuple[Verdict, str]:
+_SHAPE_PROBABILITY_MIN = 0.95
+"""A shape less likely than this is not sure: 5 % may be wrong, as at a limit with the usual guard band."""
+
+
+def _shape(wanted: tuple[str, ...], grade: Grade | None) -> tuple[Verdict, str]:
     asked = " or ".join(wanted)
     if grade is None or grade.label == "unknown":
         return "open", f"the shape is not known, {asked} is required"
     is_wanted, sure = grade.label in wanted, _sure(wanted, grade)
-    if not math.isnan(sure) and (sure if is_wanted else 1.0 - sure) < probability_min:
+    if not math.isnan(sure) and (sure if is_wanted else 1.0 - sure) < _SHAPE_PROBABILITY_MIN:
         return "open", f"the shape is {grade.label}, {asked} has a probability of {sure:.2f}"
     return ("in" if is_wanted else "out"), f"the shape is {grade.label}" + (
         "" if is_wanted else f", {asked} is required"

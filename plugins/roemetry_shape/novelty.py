@@ -14,7 +14,7 @@ S_c is the correlation within the class, mixed with that of all classes as its s
 both.
 
 Assumed: the samples are what is to be expected: rigs, light and populations that differ from them by more
-than they differ among each other are novel, and are said to be so. It fails for a stranger whose every
+than they differ among each other are novel, and are said to be so. It fails for a product whose every
 feature lies within what was seen.
 
 Good or not, from a few good products (`GoodReference`), is the largest deviation from them against what
@@ -54,8 +54,8 @@ from roemetry.records import Grade, Reason
 from roemetry.records.arrays import Floats
 
 SHRINKAGE = 0.2
-"""Share of the uncorrelated part. 0.1 to 0.4 change the share of strangers found by less than 1 %; 0 makes
-forty features of fifty samples singular."""
+"""Share of the uncorrelated part. 0.1 to 0.4 change the share of novel products found by less than 1 %; 0
+makes forty features of fifty samples singular."""
 
 POOLED_SAMPLES = 50.0
 """A class of this many samples has half of its own correlation, half of all classes'."""

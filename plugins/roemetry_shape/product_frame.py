@@ -363,7 +363,7 @@ _ENDS = (0, -1)  # first and last section
 _SURE = 2.0  # standard deviations: 95 %, as of the intervals
 
 
-def doubt_of(
+def decisive_feature(
     features: Mapping[str, float],
     names: Collection[str],
     called: str,

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from roemetry.records import Grade, Product, Reason, Relief
 from roemetry.stages import Classifier, StageOptions
 from roemetry_shape.features import SMOOTHING_MM, shape_features, shape_of
-from roemetry_shape.product_frame import doubt_of
+from roemetry_shape.product_frame import decisive_feature
 
 UNKNOWN = "unknown"
 _FEW = "fewer than three stripes show a cross-section: there is no shape to judge"
@@ -81,7 +81,7 @@ class ShapeLimits(Classifier[ShapeLimitsOptions]):
             if _broken(limit, features[limit.feature]):
                 break
         label, reason = self._called(features)
-        doubt = doubt_of(features, used, label, lambda other: self._called(other)[0])
+        doubt = decisive_feature(features, used, label, lambda other: self._called(other)[0])
         if doubt is not None:
             return Grade(UNKNOWN, features=features, reasons=(doubt,))
         return Grade(label, features=features, reasons=(reason,))

@@ -250,35 +250,35 @@ def fan_through(
     planes.
     """
     projector = np.asarray(projector_mm, dtype=np.float64)
-    feet = np.atleast_1d(np.asarray(belt_x_mm, dtype=np.float64))
+    lines_x = np.atleast_1d(np.asarray(belt_x_mm, dtype=np.float64))
     yaw, pitch = np.deg2rad([yaw_deg, pitch_deg])
     axis = np.array([-np.sin(yaw) * np.cos(pitch), np.cos(yaw) * np.cos(pitch), np.sin(pitch)])
-    towards = np.stack([feet, np.zeros_like(feet), np.zeros_like(feet)], axis=-1) - projector
+    towards = np.stack([lines_x, np.zeros_like(lines_x), np.zeros_like(lines_x)], axis=-1) - projector
     normals = np.cross(towards, axis)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     normals *= np.sign(normals[:, :1])
-    peak = np.broadcast_to(np.asarray(peak_grey, dtype=np.float64), feet.shape)
+    peak = np.broadcast_to(np.asarray(peak_grey, dtype=np.float64), lines_x.shape)
     return LaserFan(projector, normals, normals @ projector, axis, sigma_mm, peak, line_sigma_deg)
 
 
-def rows_through(fan: LaserFan, feet_mm: ArrayLike) -> Floats:
+def rows_through(fan: LaserFan, lines_y_mm: ArrayLike) -> Floats:
     """Return the `rows` of a fan that meet the line through the origin along its lines' run at these places.
 
-    They run across the fan's lines, level. `feet_mm` increase.
+    They run across the fan's lines, level. `lines_y_mm` increase.
     """
     axis = fan.line_axis
     along = np.array([axis[0], axis[1], 0.0]) / np.hypot(axis[0], axis[1])
     across = np.array([along[1], -along[0], 0.0])
-    normals = np.cross(across, np.outer(np.atleast_1d(feet_mm), along) - fan.projector_mm)
+    normals = np.cross(across, np.outer(np.atleast_1d(lines_y_mm), along) - fan.projector_mm)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     normals *= np.sign(normals @ along)[:, None]
     return np.column_stack([normals, normals @ fan.projector_mm, np.ones(len(normals))])
 
 
-def with_across(fan: LaserFan, feet_mm: ArrayLike) -> LaserFan:
+def with_across(fan: LaserFan, lines_y_mm: ArrayLike) -> LaserFan:
     """Return the grid of a fan and of lines across it, which meet its lines' run at these places."""
     # normals point the way in which the planes are ordered, as those of the fan itself do
-    planes = -rows_through(fan, np.sort(np.atleast_1d(feet_mm))[::-1])
+    planes = -rows_through(fan, np.sort(np.atleast_1d(lines_y_mm))[::-1])
     axis = np.array([fan.line_axis[1], -fan.line_axis[0], 0.0])
     axis /= np.linalg.norm(axis)
     grey = np.full(len(planes), float(np.mean(fan.peak_grey)))

@@ -87,7 +87,7 @@ class Space:
         return float(np.fmin(np.nanmax(self.in_view_mm), wanted))
 
     @cached_property
-    def feet_mm(self) -> Floats:
+    def belt_points_mm(self) -> Floats:
         """Where the stripes lie on the belt, shape (N, 3)."""
         return plane_points(self.rig.laser, self.y_mm, np.zeros(1))[0]
 
@@ -265,7 +265,7 @@ def stripe_light(space: Space) -> PlanTable:
 
 def stripe_slopes(space: Space) -> PlanTable:
     """Return the steepest slopes that are lit and seen at each stripe's place on the belt."""
-    slopes = steepest_slopes_deg(space.rig.camera, space.rig.laser, space.feet_mm)
+    slopes = steepest_slopes_deg(space.rig.camera, space.rig.laser, space.belt_points_mm)
     sides = (("+x", "rising to +X"), ("-x", "rising to −X"), ("+y", "rising to +Y"), ("-y", "rising to −Y"))
     return PlanTable(
         "slopes",
@@ -339,8 +339,8 @@ def numbers(space: Space, bodies: Bodies | None) -> tuple[PlanTable, PlanCurves,
 
 def over_x(space: Space) -> PlanCurves:
     """Return the unambiguous height range over X."""
-    spacing, feet = mean_spacing_mm(space), space.feet_mm[:, 0]
-    x = np.linspace(float(feet.min()), float(feet.max()), 41)
+    spacing, lines_x = mean_spacing_mm(space), space.belt_points_mm[:, 0]
+    x = np.linspace(float(lines_x.min()), float(lines_x.max()), 41)
     height = PlanColumn("height", "height", "mm", _neighbour_height_mm(space, x, spacing), 2)
     basis = f"For stripes {spacing:.2f} mm apart everywhere; the table has each stripe's own."
     over = PlanColumn("x", "X on the belt", "mm", x)
@@ -368,8 +368,8 @@ def focus_over_height(space: Space) -> list[PlanCurves]:
 
 def mean_spacing_mm(space: Space) -> float:
     """Return the mean distance of neighbouring stripes on the belt; NaN for one plane."""
-    feet = space.rig.laser.x_mm(space.y_mm, 0.0)
-    return float(np.diff(feet).mean()) if feet.size > 1 else np.nan
+    lines_x = space.rig.laser.x_mm(space.y_mm, 0.0)
+    return float(np.diff(lines_x).mean()) if lines_x.size > 1 else np.nan
 
 
 def _numbers(count: int) -> PlanColumn:

@@ -109,8 +109,8 @@ def as_lines(scene: RayCasterOptions) -> tuple[RayCasterOptions, tuple[Reason, .
         row = 0.5 * (rig.camera.height_px - 1)
         middle = rig.camera.ray(0.5 * (rig.camera.width_px - 1), row)
         y_mm = rig.camera.centre_mm[1] - rig.camera.centre_mm[2] / middle[2] * middle[1]
-        feet = rig.laser.x_mm(y_mm, 0.0)
-        reached = feet[np.isfinite(feet)].tolist()
+        lines_x = rig.laser.x_mm(y_mm, 0.0)
+        reached = lines_x[np.isfinite(lines_x)].tolist()
         lines: dict[str, Any] = {"circles": None, "belt_x_mm": reached, "yaw_deg": 0.0}
         text = "circles: planned where the middle row crosses them; nothing is said of their tops and bottoms"
     elif laser.grid is not None:
@@ -156,7 +156,7 @@ def _refuse(space: Space) -> None:
             "across them",
             hint="turn the camera by 90° in T_belt_camera, or the lines by laser.yaw_deg",
         )
-    shown = np.abs(scale_at(rig.camera, rig.laser, space.feet_mm).height_px_per_mm)
+    shown = np.abs(scale_at(rig.camera, rig.laser, space.belt_points_mm).height_px_per_mm)
     if not shown.max() > _LEAST_PX_PER_MM:
         raise StageError(
             f"simulator.options.laser.projector_mm: a height of 1 mm moves no stripe by more than "
@@ -188,8 +188,8 @@ def _figures(scene: RayCasterOptions, space: Space) -> tuple[PlanFigure, ...]:
             (f"x-per-px-{at}", f"X for one pixel, {at}", x_px, "mm/px", f"{level} row.", on_belt),
             (f"y-per-px-{at}", f"Y for one pixel, {at}", y_px, "mm/px", f"{level} column.", False),
         ]
-    stripe_count = float(in_view(camera, space.feet_mm).sum())
-    slope = float(steepest_slopes_deg(camera, rig.laser, space.feet_mm).min())
+    stripe_count = float(in_view(camera, space.belt_points_mm).sum())
+    slope = float(steepest_slopes_deg(camera, rig.laser, space.belt_points_mm).min())
     at_y, at_middle = f"At Y = {y_mm:.1f} mm.", "At the middle stripe, along its own plane."
     row = "of one row at the middle stripe on the belt, product's albedo."
     made += [
@@ -264,11 +264,11 @@ def _dark(space: Space) -> list[str]:
 def _reasons(scene: RayCasterOptions, space: Space) -> list[Reason]:
     """What the plan cannot say, and what it warns of."""
     rig = space.rig
-    stripes = stripes_at(rig, space.feet_mm, space.albedo, rig.laser.peak_grey)
+    stripes = stripes_at(rig, space.belt_points_mm, space.albedo, rig.laser.peak_grey)
     cut = [str(i + 1) for i, one in enumerate(stripes) if peak_std(one, rig.sensor).is_saturated]
     out, dark = [str(i + 1) for i in np.flatnonzero(np.isnan(space.in_view_mm))], _dark(space)
     widths = [stripe.width_px(rig.sensor) for stripe in stripes]
-    apart = np.abs(np.diff(rig.camera.project(space.feet_mm)[:, 0]))
+    apart = np.abs(np.diff(rig.camera.project(space.belt_points_mm)[:, 0]))
     level = f"on a level surface of the product's albedo ({space.albedo:g}) at belt height"
     found = []
     if out:
@@ -324,18 +324,18 @@ def _sketch(space: Space) -> tuple[PlanShape, ...]:
     camera, fan, top = space.rig.camera, space.rig.laser, space.top_mm
     eye, light = camera.centre_mm[[0, 2]], fan.projector_mm[[0, 2]]
     low, high = view_mm(camera), view_mm(camera, top)
-    feet = fan.x_mm(space.y_mm, 0.0)
-    ends = (low[0], low[1], float(light[0]), float(feet[0]), float(feet[-1]))
+    lines_x = fan.x_mm(space.y_mm, 0.0)
+    ends = (low[0], low[1], float(light[0]), float(lines_x[0]), float(lines_x[-1]))
     reach = 1.15 * max(abs(x) for x in ends)
     axis = camera.ray(0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1))
-    foot = camera.centre_mm - camera.centre_mm[2] / axis[2] * axis
+    axis_on_belt = camera.centre_mm - camera.centre_mm[2] / axis[2] * axis
     corners = np.array([[low[0], 0.0], [low[1], 0.0], [high[1], top], [high[0], top]])
     shapes = [
         PlanShape("view", np.array([[low[0], 0.0], [low[1], 0.0], eye])),
         PlanShape("range", corners, f"0 to {top:.0f} mm"),
         PlanShape("belt", np.array([[-reach, 0.0], [reach, 0.0]]), "belt"),
-        PlanShape("axis", np.array([eye, foot[[0, 2]]])),
-        *(PlanShape("plane", np.array([light, [x, 0.0]])) for x in feet),
+        PlanShape("axis", np.array([eye, axis_on_belt[[0, 2]]])),
+        *(PlanShape("plane", np.array([light, [x, 0.0]])) for x in lines_x),
     ]
     if np.isfinite(space.spacing_height_mm):
         z = space.spacing_height_mm
@@ -562,8 +562,8 @@ def _faults(space: Space, bodies: Bodies) -> Iterator[str]:
     x_low, x_high, y_low, y_high = view_mm(space.rig.camera, high)
     if bodies.length_mm > x_high - x_low or bodies.width_mm > y_high - y_low:
         yield f"{high:.0f} mm above the belt the camera sees {x_high - x_low:.0f} × {y_high - y_low:.0f} mm"
-    feet = space.feet_mm[:, 0]
-    under = np.abs(feet - feet.mean()) < 0.5 * bodies.length_mm
+    lines_x = space.belt_points_mm[:, 0]
+    under = np.abs(lines_x - lines_x.mean()) < 0.5 * bodies.length_mm
     if (space.in_view_mm[under] < high).any():
         yield f"stripes on a product {high:.0f} mm high leave the image above {space.highest_mm:.0f} mm"
     if high > _SPACINGS * space.spacing_height_mm:
@@ -615,7 +615,7 @@ def _other_rigs(scene: RayCasterOptions, space: Space, bodies: Bodies) -> list[_
     laser, camera = scene.laser, space.rig.camera
     across = max(mean_spacing_mm(space) * (space.rig.laser.count - 1), 1.1 * bodies.length_mm)
     distance = float(camera.centre_mm[2])
-    middle = space.feet_mm[[space.rig.laser.count // 2]]
+    middle = space.belt_points_mm[[space.rig.laser.count // 2]]
     least_mm = _SPACING_LEAST_PX * float(scale_at(camera, space.rig.laser, middle).x_mm_per_px[0])
     way = math.copysign(1.0, float(space.rig.laser.projector_mm[0] - camera.centre_mm[0]))
     found = []
@@ -640,7 +640,7 @@ def _other_rigs(scene: RayCasterOptions, space: Space, bodies: Bodies) -> list[_
 
 def angle_deg(space: Space) -> float:
     """Angle between the directions to camera and projector from the middle stripe on the belt, degrees."""
-    foot = space.feet_mm[space.rig.laser.count // 2]
-    ways: Sequence[Floats] = (space.rig.camera.centre_mm - foot, space.rig.laser.projector_mm - foot)
+    middle = space.belt_points_mm[space.rig.laser.count // 2]
+    ways: Sequence[Floats] = (space.rig.camera.centre_mm - middle, space.rig.laser.projector_mm - middle)
     cosine = float(ways[0] @ ways[1] / np.linalg.norm(ways[0]) / np.linalg.norm(ways[1]))
     return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))

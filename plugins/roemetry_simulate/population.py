@@ -208,11 +208,11 @@ def side_by_side(
 
 def _room(rig: Rig, most_overhang_spacings: float) -> tuple[float, float, float, float]:
     x_min, x_max, y_min, y_max = view_mm(rig.camera, 0.0)
-    feet = rig.laser.x_mm(0.5 * (y_min + y_max), 0.0)
-    if feet.size > 1:
-        beyond_mm = most_overhang_spacings * float(np.ptp(feet)) / (feet.size - 1)
-        x_min = max(x_min, float(feet.min()) - beyond_mm)
-        x_max = min(x_max, float(feet.max()) + beyond_mm)
+    lines_x = rig.laser.x_mm(0.5 * (y_min + y_max), 0.0)
+    if lines_x.size > 1:
+        beyond_mm = most_overhang_spacings * float(np.ptp(lines_x)) / (lines_x.size - 1)
+        x_min = max(x_min, float(lines_x.min()) - beyond_mm)
+        x_max = min(x_max, float(lines_x.max()) + beyond_mm)
     return x_min + _MARGIN_MM, x_max - _MARGIN_MM, y_min + _MARGIN_MM, y_max - _MARGIN_MM
 
 

@@ -317,7 +317,9 @@ class RayCaster(RigSimulator[RayCasterOptions]):
             pixels = render(rig, solid, surface, seed=noise_seed, plain=role == "plain", **given)
             frames.append(self._frame(pixels, role, number))
         products = tuple(
-            _truth_of(one, lying.seed, _only(crossings, stripes.product == place))
+            _truth_of(
+                one, lying.seed, replace(crossings, on_product=(stripes.product == place).astype(np.int8))
+            )
             for place, one in enumerate(lying.products, start=1)
         )
         return Simulated(tuple(frames), Truth(products, stripes))
@@ -347,11 +349,6 @@ def stripes_of(crossings: Crossings, solid: Solid | None = None) -> StripeTruth:
         label[on_product] = solid.member_at(crossings.xyz_mm[on_product])
     x_px, y_px, xyz_mm = (one.copy() for one in (crossings.x_px, crossings.y_px, crossings.xyz_mm))
     return StripeTruth(x_px, on_product, xyz_mm, label, y_px)
-
-
-def _only(crossings: Crossings, on_it: NDArray[np.bool_]) -> Crossings:
-    """Leave those on one product alone on a product."""
-    return replace(crossings, on_product=on_it.astype(np.int8))
 
 
 def _truth_of(one: Drawn, seed: int, crossings: Crossings) -> ProductTruth:

@@ -74,8 +74,8 @@ class AcrossPart(Part):
     )
 
     @property
-    def feet_mm(self) -> Floats:
-        """(line,) places along the planes' run on the belt, mm."""
+    def lines_y_mm(self) -> Floats:
+        """(line,) Y of the lines on the belt, mm."""
         order = np.arange(self.lines) - 0.5 * (self.lines - 1)
         return np.asarray(self.centre_y_mm + self.spacing_mm * order, np.float64)
 
@@ -240,7 +240,7 @@ def laser_of(part: LaserPart, grey_per_e_per_ms: float) -> LaserFan:
     power = np.ones(part.count) if part.power is None else np.array(part.power, dtype=np.float64)
     fan = fan_through(
         part.projector_mm,
-        part.feet_mm,
+        part.lines_x_mm,
         yaw_deg=part.yaw_deg,
         pitch_deg=part.pitch_deg,
         sigma_mm=0.25 * part.line_width_mm,
@@ -261,8 +261,8 @@ def laser_of(part: LaserPart, grey_per_e_per_ms: float) -> LaserFan:
         )
         return replace(drawn, waist_distance_mm=fan.waist_distance_mm, divergence_mrad=fan.divergence_mrad)
     if part.grid is not None:
-        return with_across(fan, part.grid.feet_mm)
-    return fan if part.dots is None else replace(fan, rows=rows_through(fan, part.dots.feet_mm))
+        return with_across(fan, part.grid.lines_y_mm)
+    return fan if part.dots is None else replace(fan, rows=rows_through(fan, part.dots.lines_y_mm))
 
 
 def check_camera(part: CameraPart) -> None:
@@ -292,11 +292,11 @@ def check_laser(camera_part: CameraPart, part: LaserPart) -> None:
     crossed = (sides.min(axis=0) < 0.0) & (sides.max(axis=0) > 0.0)
     if not crossed.any():
         x_min, x_max, _, _ = view_mm(camera)
-        feet = fan.x_mm(0.0, 0.0)[lit]
+        crossing_x = fan.x_mm(0.0, 0.0)[lit]
         named = "centre_x_mm" if part.belt_x_mm is None else "belt_x_mm"
         why = (
-            f"the laser misses the view: its planes meet the belt at X = {feet.min():.1f} to "
-            f"{feet.max():.1f} mm, the camera sees X = {x_min:.1f} to {x_max:.1f} mm"
+            f"the laser misses the view: its planes meet the belt at X = {crossing_x.min():.1f} to "
+            f"{crossing_x.max():.1f} mm, the camera sees X = {x_min:.1f} to {x_max:.1f} mm"
         )
         raise MisfitError(((named,), why))
 

@@ -13,7 +13,7 @@ import typer
 
 from roemetry.cli.progress import progress
 from roemetry.errors import ConfigurationError
-from roemetry_tools.init_project import Started, shipped_lines, start_like, start_own
+from roemetry_tools.init_project import NewProject, shipped_lines, start_like, start_own
 from roemetry_tools.init_project.layout import Answers
 
 
@@ -156,7 +156,7 @@ def _numbers(flag: str, said: str | None, count: int, expected: str) -> tuple[fl
     return found
 
 
-def _tell(started: Started) -> None:
+def _tell(started: NewProject) -> None:
     if started.layout is not None:
         rig = started.layout
         typer.echo(

@@ -52,15 +52,15 @@ class ScanPart(Part):
         return way
 
     def run(
-        self, along_mm: tuple[float, float], feet_mm: Floats, seed: int
+        self, along_mm: tuple[float, float], lines_x_mm: Floats, seed: int
     ) -> tuple[NDArray[np.int64], Floats]:
         """Give (line,) counts, and (line, 3) by how much the product has moved since it lay at X = 0, mm.
 
-        `along_mm` is where the product begins and ends along X, `feet_mm` where planes of light meet the
+        `along_mm` is where the product begins and ends along X, `lines_x_mm` where planes of light meet the
         belt. Its near end comes to the first plane, and its far end passes the last.
         """
         low, high = along_mm[0] - self.lead_mm, along_mm[1] + self.lead_mm
-        begin, end = feet_mm.min() - high, feet_mm.max() - low
+        begin, end = lines_x_mm.min() - high, lines_x_mm.max() - low
         if self.mm_per_count[0] < 0.0:
             begin, end = end, begin
         lines = math.ceil((end - begin) / (self.counts_per_line * self.mm_per_count[0])) + 1
@@ -75,14 +75,14 @@ class ScanPart(Part):
             moved[:, 2] = np.random.default_rng([seed, 83]).normal(0.0, self.jitter_mm, lines)
         return counts, moved
 
-    def runs(self, projector_mm: Floats, axis: Floats, feet_mm: Floats) -> Floats:
+    def runs(self, projector_mm: Floats, axis: Floats, lines_x_mm: Floats) -> Floats:
         """Give the cosines (2,) of a beam's angle with the lines' common axis between which there is light.
 
-        `feet_mm` is where planes of light meet the belt at Y = 0.
+        `lines_x_mm` is where planes of light meet the belt at Y = 0.
         """
         if self.line_y_mm is None:
             return np.array([-1.0, 1.0])
-        ends = np.array([[float(feet_mm.mean()), y, 0.0] for y in self.line_y_mm]) - projector_mm
+        ends = np.array([[float(lines_x_mm.mean()), y, 0.0] for y in self.line_y_mm]) - projector_mm
         return np.sort(ends @ axis / np.linalg.norm(ends, axis=1))
 
     def shown(self, counts: NDArray[np.int64]) -> NDArray[np.int64]:

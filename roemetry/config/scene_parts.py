@@ -79,18 +79,22 @@ class CameraPart(Part):
         default=None, description="full pose, to belt from camera, mm; replaces distance and tilts"
     )
     distortion: DistortionPart = Field(default_factory=DistortionPart, description="of the lens")
-    focus: FocusPart | None = Field(default=None, description="where the lens is sharp; default: everywhere")
-    blur_sigma_px: float = Field(default=0.5, ge=0, le=20, description="blur in focus, px (deviation)")
+    focus: FocusPart | None = Field(
+        default=None, description="where the lens is in focus; default: everywhere"
+    )
+    blur_sigma_px: float = Field(
+        default=0.5, ge=0, le=20, description="standard deviation of the blur in focus, px"
+    )
     exposure_ms: float = Field(default=10.0, gt=0, le=1e4, description="exposure time, ms")
-    gain_dn_per_e: float = Field(default=0.0255, gt=0, le=100, description="grey levels an electron makes")
+    gain_dn_per_e: float = Field(default=0.0255, gt=0, le=100, description="grey levels per electron")
     full_well_e: float | None = Field(
-        default=None, gt=0, le=1e7, description="electrons a pixel holds; default: no end"
+        default=None, gt=0, le=1e7, description="electrons that a pixel can hold; default: unlimited"
     )
     read_noise_e: float = Field(
         default=39.2156862745098, ge=0, le=1e4, description="noise without light, electrons"
     )
     black_level_dn: float = Field(default=4.0, ge=0, le=10000, description="grey level without light")
-    bit_depth: int = Field(default=8, ge=8, le=16, description="bits of a grey level")
+    bit_depth: int = Field(default=8, ge=8, le=16, description="bits per grey level")
 
     @field_validator("T_belt_camera")
     @classmethod
@@ -108,7 +112,7 @@ class CameraPart(Part):
 class LaserPart(Part):
     """The projector: a fan of laser planes from one point."""
 
-    projector_mm: Point = Field(default=(160.0, -4.0, 300.0), description="where the light comes from, mm")
+    projector_mm: Point = Field(default=(160.0, -4.0, 300.0), description="position of the projector, mm")
     planes: int = Field(default=11, ge=1, le=200, description="number of planes")
     spacing_mm: float = Field(default=8.75, gt=0, le=1000, description="between the planes on the belt, mm")
     centre_x_mm: Place = Field(default=-3.0, description="X of the middle of the fan on the belt, mm")
@@ -116,7 +120,9 @@ class LaserPart(Part):
         default=None, min_length=1, max_length=200,
         description="X of each plane at Y = 0, Z = 0, mm; replaces planes, spacing and centre",
     )  # fmt: skip
-    yaw_deg: float = Field(default=0.6, gt=-80, lt=80, description="turn of the lines from belt Y, degrees")
+    yaw_deg: float = Field(
+        default=0.6, gt=-80, lt=80, description="angle between the lines and belt Y, degrees"
+    )
     pitch_deg: float = Field(default=0.3, gt=-45, lt=45, description="rise of the lines' direction, degrees")
     line_width_mm: float = Field(default=1.24, gt=0, le=100, description="1/e² width at the waist, mm")
     waist_distance_mm: float = Field(default=336.0, ge=0, le=1e5, description="waist, from the projector, mm")
@@ -125,21 +131,24 @@ class LaserPart(Part):
     )
     peak_e_per_ms: float = Field(
         default=1450.980392156863, gt=0, le=1e9,
-        description="light in a line's middle on white that faces the projector, electrons a pixel a ms",
+        description="light in a line's middle on white that faces the projector, electrons per pixel and ms",
     )  # fmt: skip
     power: list[Factor] | None = Field(
-        default=None, description="of each plane, relative to peak_e_per_ms; 0: a dead one; default: all 1"
+        default=None, description="of each plane, relative to peak_e_per_ms; 0 for a dead one; default: all 1"
     )
     fall_deg: float = Field(
-        default=25.0, gt=0, le=1000, description="deviation of the power over the angle along the line"
+        default=25.0,
+        gt=0,
+        le=1000,
+        description="standard deviation over the angle along the line",
     )
-    wavelength_nm: float = Field(default=660.0, ge=200, le=2000, description="colour of the light, nm")
+    wavelength_nm: float = Field(default=660.0, ge=200, le=2000, description="wavelength, nm")
     speckle_contrast: float = Field(
-        default=0.10, ge=0, le=1, description="deviation over mean of the speckle"
+        default=0.10, ge=0, le=1, description="standard deviation over mean of the speckle"
     )
     speckle_sigma_px: float | None = Field(
         default=0.7, ge=0, le=50,
-        description="grain of the speckle, px (deviation); null: from wavelength, f-number and distance",
+        description="standard deviation of its grain, px; null: from wavelength, f-number and distance",
     )  # fmt: skip
 
     @model_validator(mode="after")
@@ -163,7 +172,7 @@ class LaserPart(Part):
         return self.planes if self.belt_x_mm is None else len(self.belt_x_mm)
 
     @property
-    def feet_mm(self) -> NDArray[np.float64]:
+    def lines_x_mm(self) -> NDArray[np.float64]:
         """X of each plane at Y = 0, Z = 0, shape (count,)."""
         if self.belt_x_mm is not None:
             return np.array(self.belt_x_mm, dtype=np.float64)
@@ -176,15 +185,15 @@ class DirtPart(Part):
 
     count: int = Field(default=0, ge=0, le=100000, description="spots in view")
     diameter_mm: Sizes = Field(default=(2.0, 8.0), description="smallest and largest diameter, mm")
-    albedo: Share = Field(default=0.3, description="share of the clean belt's light that comes back")
+    albedo: Share = Field(default=0.3, description="albedo relative to the clean belt")
 
 
 class PatchPart(Part):
     """A rectangle of belt that gives less light back, or none: a hole, a splice, a soaked place."""
 
-    x_mm: tuple[Place, Place] = Field(description="from X to X, mm")
-    y_mm: tuple[Place, Place] = Field(description="from Y to Y, mm")
-    albedo: Share = Field(default=0.0, description="share of the clean belt's light that comes back")
+    x_mm: tuple[Place, Place] = Field(description="smallest and largest X, mm")
+    y_mm: tuple[Place, Place] = Field(description="smallest and largest Y, mm")
+    albedo: Share = Field(default=0.0, description="albedo relative to the clean belt")
 
     @model_validator(mode="after")
     def _has_a_size(self) -> PatchPart:
@@ -198,22 +207,24 @@ class PatchPart(Part):
 class BeltPart(Part):
     """The belt and how it runs."""
 
-    albedo_laser: Share = Field(default=0.66, description="share of the laser's light that comes back")
-    albedo_plain: Share = Field(default=0.34, description="share of the plain light that comes back")
-    texture: Share = Field(default=0.04, description="relative deviation of the albedo")
-    gloss: Share = Field(default=0.0, description="share of mirror-like light")
+    albedo_laser: Share = Field(default=0.66, description="reflected share of the laser light")
+    albedo_plain: Share = Field(default=0.34, description="reflected share of the plain light")
+    texture: Share = Field(default=0.04, description="relative standard deviation of the albedo")
+    gloss: Share = Field(default=0.0, description="specular share")
     dirt: DirtPart = Field(default_factory=DirtPart, description="spots of dirt")
-    patches: list[PatchPart] = Field(default_factory=list, description="dark rectangles, the last one counts")
+    patches: list[PatchPart] = Field(
+        default_factory=list, description="dark rectangles; a later one covers earlier ones"
+    )
     speed_mm_per_s: float = Field(default=200.0, ge=0, le=1e5, description="speed, mm/s")
     encoder_step_mm: float = Field(default=0.1, gt=0, le=1000, description="travel of an encoder count, mm")
     pitch_mm: float = Field(default=150.0, gt=0, le=1e5, description="travel from item to item, mm")
 
 
 class StrayPart(Part):
-    """A lamp that is on in all images; glossy places mirror it."""
+    """A lamp that is on in all images and is reflected by glossy places."""
 
-    position_mm: Point = Field(description="where it is, mm")
-    e_per_ms: float = Field(gt=0, le=1e9, description="on white that faces it, electrons a pixel a ms")
+    position_mm: Point = Field(description="position, mm")
+    e_per_ms: float = Field(gt=0, le=1e9, description="on white that faces it, electrons per pixel and ms")
 
 
 class LightPart(Part):
@@ -221,34 +232,36 @@ class LightPart(Part):
 
     ambient_e_per_ms: float = Field(
         default=54.90196078431373, ge=0, le=1e7,
-        description="stray light on level white, electrons a pixel a ms",
+        description="stray light on level white, electrons per pixel and ms",
     )  # fmt: skip
     plain_e_per_ms: float = Field(
         default=823.5294117647059, ge=0, le=1e7,
-        description="plain light on level white, laser off, electrons a pixel a ms",
+        description="plain light on level white, laser off, electrons per pixel and ms",
     )  # fmt: skip
-    lamp_height_mm: float = Field(default=260.0, gt=0, le=1e5, description="ring of lamps over the belt, mm")
+    lamp_height_mm: float = Field(
+        default=260.0, gt=0, le=1e5, description="height of the ring of lamps over the belt, mm"
+    )
     lamp_radius_mm: float = Field(default=130.0, ge=0, le=1e5, description="radius of the ring of lamps, mm")
-    stray: StrayPart | None = Field(default=None, description="a lamp that is always on; default: none")
+    stray: StrayPart | None = Field(default=None, description="a lamp that is always on")
     images: tuple[Literal["laser", "plain", "dark"], ...] = Field(
         default=("laser",), min_length=1, description="images of each item: laser, plain, dark (both off)"
     )
 
 
 class BelowPart(Part):
-    """Light that goes on below the surface of translucent food and comes back somewhere else."""
+    """Light that enters translucent food and leaves it at another place."""
 
-    share: Share = Field(default=0.0, description="share of the light that goes below")
-    depth_mm: float = Field(default=0.0, ge=0, le=50, description="mean depth it comes back from, mm")
-    blur_mm: float = Field(default=0.0, ge=0, le=100, description="spread of what comes back (deviation), mm")
+    share: Share = Field(default=0.0, description="share of the light that enters")
+    depth_mm: float = Field(default=0.0, ge=0, le=50, description="mean depth from which it returns, mm")
+    blur_mm: float = Field(default=0.0, ge=0, le=100, description="standard deviation of its spread, mm")
 
 
 class AlbedoMapPart(Part):
     """A picture that is laid on the product from straight above, over its footprint's extent."""
 
     file: Path = Field(description="image file of 8 or 16 bit, grey or colour; relative to the scene")
-    black: Factor = Field(default=0.0, description="factor of the albedo where it is black")
-    white: Factor = Field(default=1.0, description="factor of the albedo where it is white")
+    black: Factor = Field(default=0.0, description="factor on the albedo where the picture is black")
+    white: Factor = Field(default=1.0, description="factor on the albedo where the picture is white")
 
     @field_validator("file")
     @classmethod
@@ -282,21 +295,21 @@ def read_picture(file: Path) -> NDArray[Any] | None:
 class WetPart(Part):
     """Wet places on the product: round, and glossy."""
 
-    count: int = Field(default=0, ge=0, le=100000, description="places on a product's extent")
+    count: int = Field(default=0, ge=0, le=100000, description="number of places per product")
     diameter_mm: Sizes = Field(default=(2.0, 6.0), description="smallest and largest diameter, mm")
-    gloss: Share = Field(default=0.8, description="share of mirror-like light")
+    gloss: Share = Field(default=0.8, description="specular share")
 
 
 class SurfacePart(Part):
     """What the product looks like."""
 
-    albedo_laser: Share = Field(default=0.53, description="share of the laser's light that comes back")
-    albedo_plain: Share = Field(default=0.62, description="share of the plain light that comes back")
-    texture: Share = Field(default=0.09, description="relative deviation of the albedo (blotches and grain)")
-    gloss: Share = Field(default=0.10, description="share of mirror-like light")
-    gloss_exponent: float = Field(
-        default=25.0, ge=1, le=10000, description="sharpness of the mirror-like light"
+    albedo_laser: Share = Field(default=0.53, description="reflected share of the laser light")
+    albedo_plain: Share = Field(default=0.62, description="reflected share of the plain light")
+    texture: Share = Field(
+        default=0.09, description="relative standard deviation of the albedo (blotches and grain)"
     )
+    gloss: Share = Field(default=0.10, description="specular share")
+    gloss_exponent: float = Field(default=25.0, ge=1, le=10000, description="exponent of the specular lobe")
     below: BelowPart = Field(default_factory=BelowPart, description="light below the surface")
     albedo_map: AlbedoMapPart | None = Field(
         default=None, description="a picture on the product; default: none"
@@ -343,7 +356,7 @@ class ItemPart(Part):
     """One product that was chosen, not counted up to."""
 
     seed: int = Field(ge=0, description="its seed")
-    options: dict[str, Any] = Field(default_factory=dict, description="options set otherwise for it")
+    options: dict[str, Any] = Field(default_factory=dict, description="its own options")
 
 
 class ProductPart(Part):
@@ -352,10 +365,12 @@ class ProductPart(Part):
     family: str = Field(description="name of a family of products, or `none`")
     options: dict[str, Any] = Field(default_factory=dict, description="the family's own options")
     items: list[ItemPart] = Field(
-        default_factory=list, description="the first products, by their seeds; then seeds are counted up"
+        default_factory=list, description="the first products, by their seeds; further seeds count up"
     )
     in_frame: int = Field(default=1, ge=1, le=50, description="products in one frame, side by side")
-    gap_mm: float = Field(default=3.0, ge=0, le=1000, description="least gap between two of a frame, mm")
+    gap_mm: float = Field(
+        default=3.0, ge=0, le=1000, description="smallest gap between two products of a frame, mm"
+    )
     keep_in_reach: bool = Field(
         default=True, description="move a product along X so that the stripes and the view cover it"
     )
@@ -378,15 +393,17 @@ class BlockPart(Part):
     height_mm: float = Field(default=16.5, gt=0, le=2000, description="height, mm")
     centre_x_mm: Place = Field(default=1.5, description="X of its middle, mm")
     centre_y_mm: Place = Field(default=-1.0, description="Y of its middle, mm")
-    yaw_deg: float = Field(default=0.9, ge=-180, le=180, description="turned from belt X, degrees")
+    yaw_deg: float = Field(default=0.9, ge=-180, le=180, description="angle from belt X, degrees")
 
 
 class StaircasePart(Part):
     """The staircase, at the block's place: level steps that rise along the stripes."""
 
     steps: int = Field(default=4, ge=1, le=20, description="number of steps")
-    tread_mm: float = Field(default=15.0, gt=0, le=1000, description="extent of a step along the stripes, mm")
-    riser_mm: float = Field(default=4.0, gt=0, le=500, description="height from one step to the next, mm")
+    tread_mm: float = Field(default=15.0, gt=0, le=1000, description="length of a step along the stripes, mm")
+    riser_mm: float = Field(
+        default=4.0, gt=0, le=500, description="height difference of neighbouring steps, mm"
+    )
     width_mm: float = Field(default=105.0, gt=0, le=5000, description="side across the stripes, mm")
 
 
@@ -398,12 +415,14 @@ class BoardPart(Part):
     square_mm: float = Field(default=8.0, gt=0.1, le=500, description="side of a square, mm")
     marker_mm: float = Field(default=6.0, gt=0.05, le=500, description="side of a ChArUco marker, mm")
     dictionary: Literal["DICT_4X4_250", "DICT_5X5_250", "DICT_6X6_250"] = Field(
-        default="DICT_4X4_250", description="OpenCV's name of the markers"
+        default="DICT_4X4_250", description="OpenCV's name of the marker dictionary"
     )
     poses: int = Field(default=10, ge=1, le=100, description="poses of each board")
-    thickness_mm: float = Field(default=2.0, gt=0, le=100, description="of the plate, mm")
+    thickness_mm: float = Field(default=2.0, gt=0, le=100, description="thickness of the plate, mm")
     tilt_max_deg: float = Field(default=18.0, ge=0, lt=60, description="largest tilt, degrees")
-    height_mm: tuple[Place, Place] = Field(default=(0.0, 20.0), description="lowest and highest middle, mm")
+    height_mm: tuple[Place, Place] = Field(
+        default=(0.0, 20.0), description="smallest and largest height of the middle, mm"
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> BoardPart:

@@ -70,7 +70,9 @@ def _distorted(
     x: Floats, y: Floats, distortion: Floats
 ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats, Floats, Floats]]:
     """Give x′, y′ and ∂x′/∂x, ∂x′/∂y, ∂y′/∂x, ∂y′/∂y at places, each (n,)."""
-    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = _all(distortion)
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = (
+        *map(float, distortion), *[0.0] * (14 - distortion.size),
+    )  # fmt: skip
     xx, xy, yy = x * x, x * y, y * y
     r2 = xx + yy
     radial, rising = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2 * k2 + r2 * (3 * k3))
@@ -119,10 +121,6 @@ _NEWTON_STEPS = 30  # a place that is not found by then lies at the fold or beyo
 _NEWTON_RESIDUAL = 1e-13  # on the plane at distance 1: some 1e-10 px
 _NEWTON_LAST = 1e-8  # a step squares the residual: from here one more is the last
 _MISSED_MAX = 1e-9  # the same; a place that is missed by more lies beyond the fold
-
-
-def _all(distortion: Floats) -> list[float]:
-    return [*map(float, distortion), *[0.0] * (14 - distortion.size)]
 
 
 def _tilt(tau_x: float, tau_y: float) -> Floats:

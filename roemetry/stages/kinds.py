@@ -101,27 +101,27 @@ class Capabilities:
     saturated_tolerance_px: float = 1.0
     """Largest error of a peak where the image is saturated, px."""
     height_tolerance_mm: float = 0.01
-    """Largest error of a point, of exact stripes under an exact calibration, mm (triangulators)."""
+    """Largest error of a point, with exact stripes and an exact calibration, mm (triangulators)."""
     relative_tolerance: float = 0.05
     """Largest error relative to the true value: of a volume; of px/mm (calibrators)."""
     pattern: Literal["lines", "dots", "grid", "circles"] = "lines"
-    """The light a stage is made for; the stages of a recipe that see the light agree in it."""
+    """The light pattern a stage is made for; recipes with stages for different patterns are refused."""
     relative_numbers: bool = False
-    """True for a coder that takes no calibration and counts stripes from the first that is seen: it is given
-    none, and numbers that are right but for the same offset are right."""
+    """True for a coder that uses no calibration and counts stripes from the first visible one: its numbers
+    may have a common offset."""
     fixture: str = ""
-    """``package.module:function`` that gives the kit what it cannot make itself. For a triangulator it takes
-    a `roemetry.testing.LinearRig` and gives the rig's `Calibration`; for a calibrator it takes the rig and
-    gives a `CalibrationSet`; for a source it takes an empty folder, puts two acquisitions there and gives
-    the path to read; for any other kind it takes nothing and gives the options to make the stage with.
-    Empty: the kit's own."""
+    """``package.module:function`` that makes inputs which the conformance tests cannot make. For a
+    triangulator it takes a `roemetry.testing.LinearRig` and returns the rig's `Calibration`; for a calibrator
+    it takes the rig and returns a `CalibrationSet`; for a source it takes an empty folder, puts two
+    acquisitions there and returns the path to read; for any other kind it takes nothing and returns the
+    stage's options. Empty: the default inputs."""
 
 
 class Stage(ABC, Generic[OptionsT]):
-    """What all stages have: options, and what they claim of themselves.
+    """What all stages have: options, and declarations of what they can do.
 
-    A subclass names its option model in `Options`; ``MyStage()`` has the defaults. `expected_failures` holds
-    the checks of `roemetry.testing` that the method itself cannot keep, each with the reason.
+    A subclass names its option model in `Options`; ``MyStage()`` has the defaults. `expected_failures`
+    names the checks of `roemetry.testing` that the method cannot pass, each with the reason.
     """
 
     Options: ClassVar[type[StageOptions]] = StageOptions
@@ -136,18 +136,18 @@ Turn = Literal[0, 90, 180, 270]
 
 
 class Source(Stage[OptionsT]):
-    """Knows where acquisitions are, and reads them."""
+    """Lists acquisitions and reads them."""
 
     gives: ClassVar[Literal["images", "lines", "slices"]] = "images"
-    """What an acquisition holds: images of a scene, lines of a scan, or slices that are measured already."""
+    """What an acquisition contains: images of a scene, lines of a scan, or slices already measured."""
 
     @abstractmethod
     def references(self, path: Path) -> Sequence[AcquisitionReference]:
-        """List what there is, in order, without reading images; raise DataError where there is nothing."""
+        """List the acquisitions in order, without reading images; raise DataError if there are none."""
 
     @abstractmethod
     def read(self, reference: AcquisitionReference) -> Acquisition:
-        """Read one acquisition; raise DataError, with the file's name, where that cannot be done."""
+        """Read one acquisition; raise DataError, with the file's name, if that fails."""
 
 
 class Extractor(Stage[OptionsT]):
@@ -158,9 +158,9 @@ class Extractor(Stage[OptionsT]):
         """Find the peaks of a frame of one channel."""
 
     def rows_apart(self) -> int | None:
-        """Give the empty rows that keep frames of one scan apart when it is given several as one tall image.
+        """Return how many empty rows must separate frames of a scan that are joined to one tall image.
 
-        None: it takes one frame at a time. 0: each row is measured by itself.
+        None: it takes one frame at a time. 0: each row is measured independently.
         """
         return None
 
@@ -178,21 +178,21 @@ class Extractor(Stage[OptionsT]):
         -------
         tuple or None
             (rows − 1,) steps at each boundary between two rows; (columns − 1,) the same between columns; and
-            (columns − 1,) those of the latter at which the pixels before and after differ by no more than one
-            and a half steps, of all boundaries but the first and the last. None: the core counts, with whole
-            arrays in several times the time.
+            (columns − 1,) how many of the latter have neighbours on both sides that differ by at most one and
+            a half steps, without the first and the last boundary. None: the core counts, in several times
+            the time.
         """
         return None
 
 
 class Aligner(Stage[OptionsT]):
-    """Compares a frame's belt with the calibration, to see whether camera, laser or belt have moved."""
+    """Compares a frame's belt with the calibration, to detect motion of camera, laser or belt."""
 
     @abstractmethod
     def align(
         self, peaks: Peaks, calibration: Calibration, moved: Callable[[Calibration, Alignment], Calibration]
     ) -> Alignment:
-        """Give the small motion that takes the calibrated rest lines to where this frame shows them.
+        """Return the small motion of the camera that explains where this frame shows the rest lines.
 
         Parameters
         ----------
@@ -201,54 +201,54 @@ class Aligner(Stage[OptionsT]):
         calibration
             As it was made.
         moved
-            Gives the calibration of a camera that has moved: `Triangulator.moved` of the recipe's.
+            Returns the calibration of a camera that has moved: `moved` of the recipe's triangulator.
 
         Raises
         ------
         StageError
-            What has moved cannot be corrected; the frame is then refused.
+            The motion cannot be corrected; the frame is then refused.
         """
 
 
 class Coder(Stage[OptionsT]):
-    """Says which stripe each peak belongs to, and whether it lies on the belt or on a product."""
+    """Assigns each peak to a stripe, and to the belt or a product."""
 
     @abstractmethod
     def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
         """Code the peaks; refuse single peaks as ambiguous, or everything by a StageError with the reason."""
 
     def rows_apart(self) -> int | None:
-        """Give the empty rows that keep frames apart, as for an extractor; asked only for a single stripe."""
+        """Return the empty rows between frames, as for an extractor; used only with a single stripe."""
         return None
 
 
 class Smoother(Stage[OptionsT]):
-    """Smooths each labelled stripe along its rows, and says what resolution that costs."""
+    """Smooths each labelled stripe along its rows, and states the resolution that remains."""
 
     @abstractmethod
     def smooth(self, stripes: StripeMap) -> StripeMap:
-        """Give the same stripes with less noise: no label changes, and breaks stay breaks."""
+        """Return the same stripes with less noise. Labels and gaps do not change."""
 
 
 class Calibrator(Stage[OptionsT]):
-    """Makes a calibration from images of known things."""
+    """Makes a calibration from images of known objects."""
 
     @abstractmethod
     def calibrate(self, observed: CalibrationSet) -> Calibration:
-        """Calibrate, or refuse by a CalibrationError that says why and what to do."""
+        """Calibrate, or raise a CalibrationError that says why not and what to do."""
 
     def camera(self, observed: CalibrationSet) -> CameraFit:
-        """Find camera and lens alone, from the same set without stripes; CalibrationError where it cannot."""
+        """Find camera and lens only, from the same set without stripes; raise CalibrationError if unable."""
         raise CalibrationError(
             f"{type(self).__name__} does not calibrate a camera alone", hint="pinhole-plane does, from boards"
         )
 
     def evidence(self, observed: CalibrationSet, calibration: Calibration) -> Evidence:
-        """Show what speaks for a calibration that was made from these observations: for its page."""
+        """Return the evidence for a calibration made from these observations, for its page."""
         return Evidence()
 
     def findings(self, observed: CalibrationSet) -> tuple[ImageFinding, ...]:
-        """Show what was found in each image, and why it is or is not used; also where `calibrate` refuses."""
+        """Return what was found in each image and why it is not used, also if `calibrate` refuses."""
         none = np.empty((0, 2))
         return tuple(
             ImageFinding(one, True, f"{len(one.peaks)} peaks found", "", none, none)
@@ -261,19 +261,19 @@ class Triangulator(Stage[OptionsT]):
 
     @abstractmethod
     def triangulate(self, stripes: StripeMap, calibration: Calibration) -> Profiles:
-        """Give calibrated slices in the belt frame."""
+        """Return calibrated slices in the belt frame."""
 
     def view(self, calibration: Calibration) -> View | None:
-        """Give the rig's geometry by the calibration's parameters, which a redraw has moved."""
+        """Return the rig's geometry for the calibration's parameters, which a draw may have changed."""
         return calibration.view
 
     def moved(self, calibration: Calibration, alignment: Alignment) -> Calibration:
-        """Give the calibration of a camera that has moved: parameters, covariance, rest lines and view.
+        """Return the calibration of a camera that has moved: parameters, covariance, rest lines and view.
 
         Raises
         ------
         StageError
-            This triangulator cannot; a recipe with an aligner is then refused.
+            This triangulator cannot do it; a recipe with an aligner is then refused.
         """
         raise StageError(
             f"{type(self).__name__} cannot correct a calibration for a camera that has moved",
@@ -282,46 +282,46 @@ class Triangulator(Stage[OptionsT]):
 
 
 class Assembler(Stage[OptionsT]):
-    """Makes one set of slices of a scan's lines, and tells products from the belt in slices of any sensor."""
+    """Places a scan's lines as slices, and separates products from the belt in slices of any sensor."""
 
     @abstractmethod
     def place(
         self, stripes: StripeMap, lines: ScanLines, calibration: Calibration, triangulator: Triangulator[Any]
     ) -> Profiles:
-        """Give the slices of a scan in a frame that moves with the belt, sorted along it.
+        """Return the slices of a scan in a frame that moves with the belt, sorted along it.
 
         Parameters
         ----------
         stripes
-            (line · stripe, row): those of each line, one line after the other. Points labelled 0 are belt,
-            on which Z = 0 is laid; where there are none, Z stays that of the calibration.
+            (line · stripe, row): those of each line, one line after the other. Points labelled 0 are belt and
+            define Z = 0; without them, Z is that of the calibration.
         lines
-            Where the belt was.
+            The lines, with the belt's positions.
         calibration
             With the belt's motion.
         triangulator
-            Of the recipe, for the stripes of one frame.
+            That of the recipe, for the stripes of one frame.
 
         Raises
         ------
         StageError
-            The lines cannot be placed: no motion, no counts, or counts that stand still.
+            The lines cannot be placed: no motion, no counts, or constant counts.
         """
 
     @abstractmethod
     def label(self, profiles: Profiles, own: tuple[int, int] | None = None) -> Profiles:
-        """Find belt and products in slices, lay Z = 0 on the belt, and number the products.
+        """Find belt and products in slices, put Z = 0 on the belt, and number the products.
 
-        `own` are the first slice and the one after the last in which a product that counts begins; None: any.
+        Only products that begin in the slices of `own` (first, end) count; None: all.
         """
 
     def motion(
         self, stripes: StripeMap, lines: ScanLines, calibration: Calibration, triangulator: Triangulator[Any],
         target: Pyramid | SpherePlate, *, right: bool = True,
     ) -> tuple[Motion, Mapping[str, float]]:  # fmt: skip
-        """Measure the belt's motion from a scan of a known body, with figures that say how well it fits.
+        """Measure the belt's motion from a scan of a known body, with figures of how well it fits.
 
-        `right`: whether the product moves towards larger x in the image while the counter counts up.
+        `right`: whether the product moves towards larger x in the image while the encoder counts up.
 
         Raises
         ------
@@ -338,18 +338,18 @@ class Outliner(Stage[OptionsT]):
     def outline(
         self, frame: Frame, plain: Frame | None, stripes: StripeMap, calibration: Calibration | None
     ) -> tuple[Outline, ...]:
-        """Give one outline for each product that was found.
+        """Return an outline for each product.
 
         Parameters
         ----------
         frame
-            The laser image as the extractor saw it.
+            The laser image that the extractor was given.
         plain
-            The image in plain light, turned alike, in colour if it was taken so; None where there is none.
+            The image in plain light, turned equally, in colour if taken in colour; None without one.
         stripes
             The labelled stripes.
         calibration
-            None where the recipe has none.
+            None if the recipe has none.
         """
 
 
@@ -358,26 +358,25 @@ class VolumeEstimator(Stage[OptionsT]):
 
     @property
     def states_model_error(self) -> bool:
-        """True if, given `rng`, all of the stage's own model's error is drawn; else no interval is given."""
+        """True if, with `rng`, all of the stage's model error is drawn; otherwise no interval is stated."""
         return False
 
     @abstractmethod
     def estimate(self, product: Product, *, rng: np.random.Generator | None = None) -> Volume:
-        """Estimate the volume; given `rng`, draw the estimator's own model error as well."""
+        """Estimate the volume; with `rng`, add a random draw of the estimator's model error."""
 
     def redraw(self, product: Product, found: Volume, *, rng: np.random.Generator | None = None) -> Volume:
-        """Estimate the volume of a product that has moved a little within what it may be wrong by.
+        """Estimate the volume of a product that was changed a little, within its uncertainty.
 
-        An estimator that takes long may go on from what it has found (`Volume.solution`) and by the budget
-        that it has found: they hardly change. Of the result only the values are used, and of values only how
-        they differ from that of the product as it was seen, given as `product`.
+        A slow estimator may start from its solution (`Volume.solution`) and budget, which hardly change. Only
+        the values of the result are used, as differences from the result for the unchanged product.
 
         Parameters
         ----------
         product
-            As it has moved.
+            The changed product.
         found
-            What `estimate` gave of the product as it was seen.
+            The result of `estimate` for the unchanged product.
         rng
             As in `estimate`.
         """
@@ -385,22 +384,22 @@ class VolumeEstimator(Stage[OptionsT]):
         return self.estimate(product, rng=rng)
 
     def surface(self, product: Product) -> Surface | None:
-        """Give the top surface that `estimate` integrates, for drawings; None where it has none."""
+        """Return the top surface that `estimate` integrates, for plots; None if there is none."""
         del product
         return None
 
 
 class Weigher(Stage[OptionsT]):
-    """Turns volume (and what else is known) into mass."""
+    """Computes the mass from the volume and, if useful, from other features."""
 
     @property
     def states_model_error(self) -> bool:
-        """True if, given `rng`, all of the stage's own model's error is drawn; else no interval is given."""
+        """True if, with `rng`, all of the stage's model error is drawn; otherwise no interval is stated."""
         return False
 
     @abstractmethod
     def weigh(self, product: Product, volume: Volume, *, rng: np.random.Generator | None = None) -> Weight:
-        """Estimate the mass; given `rng`, draw the weigher's own model error as well."""
+        """Estimate the mass; with `rng`, add a random draw of the weigher's model error."""
 
     @classmethod
     def fit(cls, samples: Samples, *, form: str = "auto") -> Fitted:
@@ -411,7 +410,7 @@ class Weigher(Stage[OptionsT]):
         samples
             With masses.
         form
-            Name of one of the weigher's models; ``auto``: the one that does best on held-out products.
+            Name of one of the weigher's models; ``auto``: the best one on held-out products.
 
         Raises
         ------
@@ -428,17 +427,17 @@ class Classifier(Stage[OptionsT]):
 
     @abstractmethod
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
-        """Give the class with reasons; ``unknown`` is a legal answer."""
+        """Return the class with reasons; it may be ``unknown``."""
 
     def redraw(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
-        """Judge a product that has moved a little within what it may be wrong by.
+        """Classify a product that was changed a little, within its uncertainty.
 
-        Of the result only label, probability and features are used.
+        Only label, probability and features of the result are used.
         """
         return self.classify(product, rng=rng)
 
     def relief(self, product: Product) -> Relief | None:
-        """Give the surface that is drawn beside a grade; None where this classifier looks at none."""
+        """Return the surface to draw beside a grade; None if this classifier uses none."""
         del product
         return None
 
@@ -453,11 +452,11 @@ class Classifier(Stage[OptionsT]):
         samples
             With labels.
         good
-            The class of good products; "" where there is none.
+            The class of good products; "" if there is none.
         smoothing_mm
             Window the features were measured with, mm.
         begin
-            A model that was learned elsewhere, to be adapted to these samples and judged by them.
+            A model learned elsewhere, to be adapted to these samples and tested on them.
 
         Raises
         ------
@@ -470,121 +469,122 @@ class Classifier(Stage[OptionsT]):
 
 
 class Grader(Stage[OptionsT]):
-    """Decides what is to be done with a product, by all that was found of it."""
+    """Decides what to do with a product, from all its results."""
 
     def needs(self) -> frozenset[str]:
-        """Name the kinds of stage whose results it asks for; a recipe without one of them is refused."""
+        """Return the kinds of stage whose results it needs; a recipe without one of them is refused."""
         return frozenset()
 
     @abstractmethod
     def decide(
         self, product: Product, volume: Volume | None, weight: Weight | None, grade: Grade | None
     ) -> Decision:
-        """Give the class with reasons; ``undecided`` is a legal answer.
+        """Return the class with reasons; it may be ``undecided``.
 
         Parameters
         ----------
         product
-            With its outline, where there is one.
+            With its outline, if there is one.
         volume, weight, grade
-            With their uncertainties; None where a stage was not asked for or could not say.
+            With their uncertainties; None if a stage is not in the recipe or gave no result.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A finished (or stopped) run, as sinks receive it."""
+    """A finished or stopped run, as sinks receive it."""
 
     folder: Path
     title: str
     measurements: Callable[[], Iterator[Measurement]]
-    """Gives all measurements anew at each call, one at a time."""
+    """Returns an iterator over all measurements."""
     replay: Callable[[str], Trace]
-    """Makes an acquisition's whole trace again from its id; raises DataError where the image is gone."""
+    """Processes the acquisition with this id again and returns its trace; DataError if the image is gone."""
     provenance: Mapping[str, Any]
 
 
 class Sink(Stage[OptionsT]):
-    """Derives something for people or other programs from a run's record."""
+    """Derives files for people or other programs from a run's record."""
 
     @property
     def replays_first(self) -> int:
-        """How many of a run's first acquisitions `write` replays: their traces are kept for it on disk."""
+        """How many of a run's first acquisitions `write` replays; their traces are kept on disk."""
         return 0
 
     @abstractmethod
     def write(self, run: Run) -> Sequence[Path]:
-        """Write, and give the files written."""
+        """Write the files and return their paths."""
 
 
 class Simulator(Stage[OptionsT]):
-    """Makes images whose answer is known. Its options are the scene file: rig, belt, light, products."""
+    """Makes images with known truth. Its options are the scene file: rig, belt, light, products."""
 
     @abstractmethod
     def simulate(self, number: int, seed: int) -> Simulated:
-        """Make the population's acquisition of this number: a pure function of options, number, seed."""
+        """Make the acquisition of this number, as a pure function of options, number and seed."""
 
     @abstractmethod
     def calibration_frames(self, seed: int) -> Mapping[str, Mapping[str, Frame]]:
-        """Make calibration images: by kind (``block``, ``belt``, …), by file name without suffix."""
+        """Make calibration images, by kind (``block``, ``belt``, …) and file name without suffix."""
 
     def turn_deg(self) -> Turn:
-        """Give the counter-clockwise turn that rights its images; its truth is of the turned image."""
+        """Return the counter-clockwise turn that recipes must apply; truth refers to the turned image."""
         return 0
 
     def sensor(self) -> Sensor | None:
-        """Give the noise of the camera it makes images of; None where that is not told."""
+        """Return the noise of the simulated camera; None if it is not stated."""
         return None
 
     def calibration_truth(self, seed: int) -> Mapping[str, Any]:
-        """Give what is true of rig and targets, as plain values for a file; empty where nothing is told."""
+        """Return the truth of rig and targets, as plain values for a file; empty if there is none."""
         return {}
 
 
 class Planner(Stage[OptionsT]):
-    """Says what a rig will give before it is built. Its options are a simulator's: the scene file."""
+    """Predicts how well a rig will measure before it is built. Its options are those of a simulator."""
 
     @abstractmethod
     def plan(self, *, simulate: bool) -> Plan:
-        """Work the rig out, with short simulations beside it if wanted; raise StageError where that fails."""
+        """Compute the plan, with short simulations if requested; raise StageError if that fails."""
 
 
 class Feed(Stage[OptionsT]):
-    """Gives frames as a camera takes them."""
+    """Delivers frames as a camera takes them."""
 
     @abstractmethod
     def open(self) -> AbstractContextManager[Iterator[LiveFrame | None]]:
-        """Connect; while the block runs, give the frames in the order in which they were taken.
+        """Connect; within the block, yield the frames in the order in which they were taken.
 
-        The iterator waits for a frame. It gives None where none has come for half a second, so that who asks
-        can do something else, and it ends where no frame can come any more (a video's end).
+        The iterator waits for a frame. It yields None if none has come for half a second, so that the caller
+        can do something else, and ends if no frame can come any more (at a video's end).
 
         Raises
         ------
         ConfigurationError
             An option does not suit the camera: it has no such node, or refuses the value.
         DataError
-            On entering or from the iterator: there is no camera, or it is gone. It may be opened again.
+            On entering or from the iterator: there is no camera, or its connection is lost. It may be opened
+            again.
         """
 
 
 class Outlet(Stage[OptionsT]):
-    """Takes rows of a line to whoever acts on them: a controller, a broker, a database."""
+    """Delivers rows of a line to a receiver: a controller, a broker, a database."""
 
     line: LineControl | None = None
-    """The line that it hears from, set before it is opened; None where rows come from elsewhere."""
+    """The line the rows come from, set before it is opened; None if they come from elsewhere."""
 
     @abstractmethod
     def open(self) -> AbstractContextManager[Callable[[Sequence[LineRow]], None]]:
-        """Connect; while the block runs, give what delivers rows, in order.
+        """Connect; within the block, provide a function that delivers rows, in order.
 
-        It returns when the receiver has taken them all. Where it raises, all of them are delivered again, so
-        a receiver may see a row twice, by the same key, and never misses one.
+        It returns when the receiver has taken them all. If it raises, all of them are delivered again, so
+        a receiver may see a row twice, with the same key, but never misses one.
 
         Raises
         ------
         OutputError
-            On entering or from what was given: the receiver cannot be reached or refuses a row. It may be
+            On entering or from the function: the receiver cannot be reached or refuses a row. It may be
             opened again.
         """
 
@@ -629,10 +629,10 @@ _GIVES: Mapping[str, type] = {
 
 
 def check_result_type(kind: str, result: T) -> T:
-    """Give a result on, if it is the record of its kind or the kind is free to give what it likes.
+    """Return a result, if it is the record of its kind or the kind may return anything.
 
-    Else TypeError says what was expected: ``None`` would pass for a step that was not wanted, and a belt
-    without a product be reported.
+    Otherwise raise a TypeError that says what was expected: ``None`` would pass for a stage that is not in
+    the recipe, and a belt without a product would be reported.
     """
     wanted = _GIVES.get(kind)
     if wanted is not None and not isinstance(result, wanted):

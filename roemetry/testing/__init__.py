@@ -4,11 +4,11 @@ from roemetry.testing.checks import checks_of
 from roemetry.testing.kit import Result, conformance, parametrize_stages, stages_named
 from roemetry.testing.scenes import LinearRig, frame_of
 from roemetry.testing.solids import Solid, product_of
-from roemetry.testing.verdict import NotKeptError, refused, require
+from roemetry.testing.verdict import CheckFailedError, refused, require
 
 __all__ = [
+    "CheckFailedError",
     "LinearRig",
-    "NotKeptError",
     "Result",
     "Solid",
     "checks_of",

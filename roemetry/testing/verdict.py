@@ -14,14 +14,14 @@ from pydantic import BaseModel
 from roemetry.errors import FAULTS, RoemetryError
 
 
-class NotKeptError(AssertionError):
+class CheckFailedError(AssertionError):
     """A stage does not keep the contract; the message says what was found and what was expected."""
 
 
 def require(condition: bool | object, found: str) -> None:
     """Go on if the condition holds, else say what was found."""
     if not condition:
-        raise NotKeptError(found)
+        raise CheckFailedError(found)
 
 
 @contextmanager
@@ -35,8 +35,10 @@ def refused(what: str, *kinds: type[RoemetryError]) -> Iterator[list[RoemetryErr
         caught.append(error)
         return
     except FAULTS as error:
-        raise NotKeptError(f"{what}: {type(error).__name__} ({error}), expected {_names(wanted)}") from error
-    raise NotKeptError(f"{what} was taken, expected {_names(wanted)}")
+        raise CheckFailedError(
+            f"{what}: {type(error).__name__} ({error}), expected {_names(wanted)}"
+        ) from error
+    raise CheckFailedError(f"{what} was taken, expected {_names(wanted)}")
 
 
 def _names(kinds: tuple[type[RoemetryError], ...]) -> str:

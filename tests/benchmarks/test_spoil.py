@@ -49,15 +49,15 @@ def test_a_refusal_counts_by_its_words() -> None:
 def test_what_is_accepted_counts_by_what_is_told_and_by_its_heights() -> None:
     sound = calibration_of(LinearRig())
     wrong = replace(sound, parameters=sound.parameters | {"focal_px": 1.1 * sound.parameters["focal_px"]})
-    assert spoil.judged(SWAPPED, (sound, ""), sound, ["3"]).word == "sound"
-    assert spoil.judged(SWAPPED, (wrong, ""), sound, ["3"]).word == "slipped"
-    assert spoil.judged(spoil.SOUND[0], (wrong, ""), sound, []).word == "slipped"
+    assert spoil.judged(SWAPPED, (sound, ""), sound, ["3"]).word == "harmless"
+    assert spoil.judged(SWAPPED, (wrong, ""), sound, ["3"]).word == "missed"
+    assert spoil.judged(spoil.SOUND[0], (wrong, ""), sound, []).word == "missed"
     told = replace(wrong, notes=("not used: on_3.png: too dark", "not used: on_5.png: too dark"))
-    assert spoil.judged(SWAPPED, (told, ""), sound, ["3", "5"]).word == "told"
-    assert spoil.judged(SWAPPED, (told, ""), sound, ["3", "6"]).word == "slipped"
+    assert spoil.judged(SWAPPED, (told, ""), sound, ["3", "5"]).word == "reported"
+    assert spoil.judged(SWAPPED, (told, ""), sound, ["3", "6"]).word == "missed"
     # what is told of the sound set as well tells nobody anything
     always = replace(sound, notes=("stripes and board corners contradict each other",))
-    assert spoil.judged(SWAPPED, (replace(wrong, notes=always.notes), ""), always, ["3"]).word == "slipped"
+    assert spoil.judged(SWAPPED, (replace(wrong, notes=always.notes), ""), always, ["3"]).word == "missed"
 
 
 def test_two_boards_are_written_with_their_own_images(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What single pages name is there, and what is there is named: rooms, errors, variables, benchmarks."""
+"""What single pages name is there, and what is there is named: packages, errors, variables, benchmarks."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import sys
 import pytest
 
 from benchmarks.__main__ import BENCHMARKS
-from benchmarks.rooms import DRAWING, drawing
+from benchmarks.packages import DIAGRAM, drawing
 from roemetry import errors
 from tests.docs.reading import PAGES, REFERENCE, ROOT, firsts, page, section
 
 SOURCES = sorted(path for folder in ("roemetry", "plugins") for path in (ROOT / folder).rglob("*.py"))
 
 
-def test_the_drawing_of_the_rooms_is_that_of_the_imports() -> None:
-    assert DRAWING.read_text("utf-8") == drawing(), "write it anew: python -m benchmarks rooms"
+def test_the_drawing_of_the_packages_is_that_of_the_imports() -> None:
+    assert DIAGRAM.read_text("utf-8") == drawing(), "write it anew: python -m benchmarks packages"
 
 
 def test_every_error_that_reaches_users_is_told_with_its_exit_code() -> None:

@@ -245,9 +245,9 @@ def test_questions_are_asked_in_a_terminal(tmp_path: Path, monkeypatch: pytest.M
 
     asked: dict[str, Answers] = {}
 
-    def begun(answers: Answers, folder: Path, **_: object) -> starting.Started:
+    def begun(answers: Answers, folder: Path, **_: object) -> starting.NewProject:
         asked["answers"] = answers
-        return starting.Started(folder, (), 0, lay_out(answers))
+        return starting.NewProject(folder, (), 0, lay_out(answers))
 
     monkeypatch.setattr("roemetry_tools.init.start_own", begun)
     monkeypatch.setattr("roemetry_tools.init.in_terminal", lambda: True)

@@ -19,7 +19,7 @@ from roemetry_line.log import log, log_libraries
 from roemetry_line.outbox import Outbox
 from roemetry_line.page.app import LinePage
 from roemetry_line.page.users import Users
-from roemetry_line.process import until_asked
+from roemetry_line.process import stop_event
 
 _END_S = 1
 """Answers that nobody reads would keep the server for ever; after so long they are cut, s."""
@@ -123,7 +123,7 @@ async def serve_page(line: Line, page: PageSection, stop: threading.Event) -> No
 def main() -> int:
     """Serve the page of the line file that the command line names."""
     log_libraries()
-    stop = until_asked()
+    stop = stop_event()
     line = Line.load(Path(sys.argv[1]), with_recipes=False)
     if line.page is not None:
         asyncio.run(serve_page(line, line.page, stop))

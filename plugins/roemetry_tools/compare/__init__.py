@@ -24,8 +24,8 @@ from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.comparison import Measuring
 from roemetry_tools.compare.comparison import compare as compared_on
 from roemetry_tools.compare.data import Data
-from roemetry_tools.compare.kept import KEPT, KeptScores
 from roemetry_tools.compare.ranking import Compared
+from roemetry_tools.compare.stored_scores import KEPT, StoredScores
 from roemetry_tools.compare.tables import (
     across_sets,
     across_table,
@@ -175,7 +175,7 @@ def _one_set(
     began = datetime.now(UTC)
     with (
         ItemsFile(folder, resume=resume) as items,
-        KeptScores(folder, variants, data, terms, resume=resume) as kept,
+        StoredScores(folder, variants, data, terms, resume=resume) as kept,
         progress("comparing", quiet=as_json) as shown,
     ):
         how: Measuring = {"executor": executor, "kept": kept, "on_scored": items.add, "on_progress": shown}

@@ -16,10 +16,10 @@ from roemetry.run.stage_cache import CachedStages, StageCache
 from roemetry.run.workers import Processes
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.data import Data, Unit, as_taken, changed_file, labelled
-from roemetry_tools.compare.kept import Found, KeptScores
-from roemetry_tools.compare.racing import Stopped, beaten, looks
+from roemetry_tools.compare.early_stopping import Stopped, beaten, looks
 from roemetry_tools.compare.ranking import Compared, rank_against
 from roemetry_tools.compare.score import Aggregate, Figures, Scored, score, unreadable
+from roemetry_tools.compare.stored_scores import Found, StoredScores
 from roemetry_tools.compare.variants import Variant
 
 
@@ -28,7 +28,7 @@ class Measuring(TypedDict, total=False):
 
     executor: Executor
     """What does the work; by default this process. Figures are the same with any, times aside."""
-    kept: KeptScores
+    kept: StoredScores
     """What was kept of a stopped comparison is not measured again; what is measured now is kept there."""
     on_scored: Callable[[Variant, Scored], None]
     """Called with each variant and what it made of an acquisition, acquisitions in order and for each the

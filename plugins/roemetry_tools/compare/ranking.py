@@ -33,7 +33,7 @@ from roemetry_tools.compare.agreement import (
     recalls_of,
     reliability_of,
 )
-from roemetry_tools.compare.racing import Stopped
+from roemetry_tools.compare.early_stopping import Stopped
 from roemetry_tools.compare.score import QUANTITIES, Figures
 from roemetry_tools.compare.variants import Variant
 

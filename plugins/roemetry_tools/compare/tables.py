@@ -20,7 +20,7 @@ from rich.text import Text
 from roemetry.config.recipe_file import StageChoices
 from roemetry.html.plots import share
 from roemetry_tools.compare.agreement import Interval, Reliability, Shift, Terms
-from roemetry_tools.compare.racing import Stopped
+from roemetry_tools.compare.early_stopping import Stopped
 from roemetry_tools.compare.ranking import (
     PRODUCTS_ENOUGH,
     Compared,

@@ -16,9 +16,9 @@ from roemetry.errors import OutputError
 from roemetry.io.files import LineFile, json_values, make_folder, write_whole
 from roemetry_tools.compare.agreement import RESAMPLES, Interval, Terms
 from roemetry_tools.compare.data import Data
-from roemetry_tools.compare.kept import KEPT
 from roemetry_tools.compare.ranking import Compared, Standing, choices_of
 from roemetry_tools.compare.score import Errors, Figures, Pair, Scored, estimates_of
+from roemetry_tools.compare.stored_scores import KEPT
 from roemetry_tools.compare.tables import GROUPS, centre_figures, coding_shares, first_lines_of, to_csv
 from roemetry_tools.compare.variants import Variant
 

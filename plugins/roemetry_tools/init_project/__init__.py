@@ -41,7 +41,7 @@ def _silent(_: str) -> AbstractContextManager[Move]:
 
 
 @dataclass(frozen=True, slots=True)
-class Started:
+class NewProject:
     """What was begun: files without the images, and how many simulated acquisitions to try it on.
 
     `layout` is the rig of an own product; None where a shipped line was copied.
@@ -60,7 +60,7 @@ def start_like(
     items: int = 3,
     jobs: int = 1,
     step: Step = _silent,
-) -> Started:
+) -> NewProject:
     """Begin from a shipped line: its recipe, rig, calibration and scene, and products drawn anew.
 
     The folder must be empty or not there yet. `step` is entered with the name of each step that takes time,
@@ -85,7 +85,7 @@ def start_like(
         scene = _compiled(folder, step)
         with step("simulating products") as shown:
             _simulate(scene, folder, items, "none", jobs, shown)
-    return Started(folder, written, items, None)
+    return NewProject(folder, written, items, None)
 
 
 def start_own(
@@ -96,7 +96,7 @@ def start_own(
     jobs: int = 1,
     step: Step = _silent,
     tell: Callable[[str], None] = lambda said: None,
-) -> Started:
+) -> NewProject:
     """Begin with an own product: a rig that can measure it, products like it, and a calibration of that rig.
 
     Parameters and errors as of `start_like`; ConfigurationError where no such rig measures the product.
@@ -122,7 +122,7 @@ def start_own(
             _simulate(scene, folder, items, "charuco", jobs, on_progress)
         with step("calibrating") as shown:
             written = (*written, _calibrate(folder, shown))
-    return Started(folder, written, items, layout)
+    return NewProject(folder, written, items, layout)
 
 
 def texts_of(answers: Answers, layout: Layout, items: int) -> dict[str, str]:

@@ -27,16 +27,16 @@ from roemetry_tools.compare import say
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.comparison import Measuring, compare
 from roemetry_tools.compare.data import Data
-from roemetry_tools.compare.kept import KEPT, KeptScores
 from roemetry_tools.compare.ranking import Compared
 from roemetry_tools.compare.score import Scored
+from roemetry_tools.compare.stored_scores import KEPT, StoredScores
 from roemetry_tools.compare.tables import WORDS, warning_of
 from roemetry_tools.compare.variants import Space, Variant
 from roemetry_tools.compare.write import ItemsFile, write_comparison
 from roemetry_tools.optimise.search import (
     TRIED,
-    KeptTrials,
     Search,
+    StoredTrials,
     Trial,
     Trueness,
     field_of,
@@ -144,7 +144,7 @@ def optimise(
         try:
             with (
                 ItemsFile(folder, resume=resume) as items,
-                KeptTrials(folder, space, choosing, (seed, field), resume=resume) as kept,
+                StoredTrials(folder, space, choosing, (seed, field), resume=resume) as kept,
             ):
                 with progress("trying", quiet=False) as shown:
                     for tried in search.run(trials, choosing, field, executor, kept, shown):
@@ -160,7 +160,7 @@ def optimise(
 
                 variants = [base, *(one.variant for one in chosen if one.variant.number)]
                 with (
-                    KeptScores(folder, variants, rest, terms, resume=resume) as scores,
+                    StoredScores(folder, variants, rest, terms, resume=resume) as scores,
                     progress("comparing", quiet=False) as shown,
                 ):
                     how: Measuring = {"executor": executor, "kept": scores, "on_scored": add}

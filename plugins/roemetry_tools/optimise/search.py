@@ -20,8 +20,8 @@ from roemetry.run.executors import Executor
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.comparison import measure
 from roemetry_tools.compare.data import Data
-from roemetry_tools.compare.kept import KEPT, KeptLines, KeptScores, identity_of
 from roemetry_tools.compare.score import QUANTITIES, Figures, Scored, beside_truth
+from roemetry_tools.compare.stored_scores import KEPT, StoredLines, StoredScores, identity_of
 from roemetry_tools.compare.tables import WORDS, csv_of
 from roemetry_tools.compare.variants import Axis, Space, Variant, recipe_of
 
@@ -56,7 +56,7 @@ class Trial:
         return math.isfinite(self.error_pct) and math.isfinite(self.time_ms)
 
 
-class KeptTrials(KeptLines):
+class StoredTrials(StoredLines):
     """A line in the search's folder for each recipe that was tried; a stopped search goes on where it was.
 
     Optuna's own storages keep trials, but not where its sampler's random numbers are. So the search is begun
@@ -89,9 +89,9 @@ class KeptTrials(KeptLines):
         """Give what a recipe came to before; None where it was not tried."""
         return self._known.get(str(recipe_of(variant)))
 
-    def scores(self, variants: Sequence[Variant]) -> KeptScores:
+    def scores(self, variants: Sequence[Variant]) -> StoredScores:
         """Give the file that keeps what acquisitions score while these recipes are tried."""
-        return KeptScores(self._folder, variants, self._data, Terms(), resume=self._resume)
+        return StoredScores(self._folder, variants, self._data, Terms(), resume=self._resume)
 
     def add(self, tried: Sequence[tuple[Variant, TrialFigures]]) -> None:
         """Keep what recipes came to, instead of what acquisitions scored."""
@@ -138,7 +138,7 @@ class Search:
         data: Data,
         field: str,
         executor: Executor,
-        kept: KeptTrials,
+        kept: StoredTrials,
         on_progress: Callable[[int, int], None] = lambda done, of: None,
     ) -> Iterator[list[Trial]]:
         """Try `count` recipes and the recipe as it is; give all that was tried after every batch.
@@ -174,7 +174,7 @@ class Search:
 
 
 def _tried(
-    variants: Sequence[Variant], data: Data, field: str, executor: Executor, kept: KeptTrials
+    variants: Sequence[Variant], data: Data, field: str, executor: Executor, kept: StoredTrials
 ) -> Iterator[Trial]:
     """Give what recipes come to on the same acquisitions, from what was kept or measured now."""
     new = [variant for variant in variants if kept.figures_of(variant) is None]
@@ -184,7 +184,7 @@ def _tried(
 
 
 def _measured(
-    variants: Sequence[Variant], data: Data, field: str, executor: Executor, kept: KeptTrials
+    variants: Sequence[Variant], data: Data, field: str, executor: Executor, kept: StoredTrials
 ) -> dict[int, TrialFigures]:
     """Measure recipes, by their numbers; one that cannot be made has its reason."""
     trueness = Trueness(field)

@@ -42,7 +42,7 @@ def edited(text: str, name: str, wanted: Any) -> str:
     Raises
     ------
     ConfigurationError
-        The text cannot be changed so, for instance where a value comes from an anchor.
+        The text cannot be changed so, for instance where ruamel.yaml gives a value no place.
     """
     at = name
     for _ in range(_MOST_CHANGES):
@@ -59,7 +59,7 @@ def edited(text: str, name: str, wanted: Any) -> str:
             break
     raise ConfigurationError(
         f"{at}: cannot be changed here without changing more than that",
-        hint="anchors and tags are not understood; change it by hand",
+        hint="change it by hand",
     )
 
 

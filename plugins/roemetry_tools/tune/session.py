@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import struct
 import threading
 import time
@@ -417,15 +416,3 @@ def packed(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> byt
     text = json.dumps(json_values({**header, "arrays": told}), allow_nan=False).encode()
     text += b" " * (-(len(text) + 4) % 8)
     return struct.pack("<I", len(text)) + text + b"".join(parts)
-
-
-def unpacked(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Give back header and arrays."""
-    (length,) = struct.unpack("<I", data[:4])
-    header: dict[str, Any] = json.loads(data[4 : 4 + length])
-    arrays = {}
-    for name, told in header.pop("arrays").items():
-        count = math.prod(told["shape"])
-        found = np.frombuffer(data, np.dtype(told["type"]).newbyteorder("<"), count, 4 + length + told["at"])
-        arrays[name] = found.reshape(told["shape"])
-    return header, arrays

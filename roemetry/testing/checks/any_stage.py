@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from roemetry.errors import RoemetryError
 from roemetry.stages import Stage, StageOptions
 from roemetry.testing.cases import cases_for
-from roemetry.testing.verdict import NotKeptError, difference, require
+from roemetry.testing.verdict import CheckFailedError, difference, require
 
 _THREADS = 4  # at once: enough to meet each other on two cores
 
@@ -25,7 +25,7 @@ def check_same_input_gives_same_result(stage: Stage[Any]) -> None:
 
 
 def check_keeps_nothing_between_calls(stage: Stage[Any]) -> None:
-    """A stage keeps nothing between calls: what it was given before does not change a result."""
+    """A stage has no state: earlier calls do not change a result."""
     cases = cases_for(stage)
     fresh = type(stage)(stage.options)
     cases.other.call(stage)
@@ -34,7 +34,7 @@ def check_keeps_nothing_between_calls(stage: Stage[Any]) -> None:
 
 
 def check_leaves_its_input_alone(stage: Stage[Any]) -> None:
-    """A stage takes read-only arrays and leaves its input as it was."""
+    """A stage accepts read-only arrays and does not change its input."""
     case = cases_for(stage).ordinary
     before = copy.deepcopy(case.inputs)
     case.call(stage)
@@ -42,7 +42,7 @@ def check_leaves_its_input_alone(stage: Stage[Any]) -> None:
 
 
 def check_threads_agree(stage: Stage[Any]) -> None:
-    """Four threads that use one stage at once get what one alone gets."""
+    """Four threads that use one stage at the same time get the same results as one."""
     cases = cases_for(stage)
     both = cases.ordinary, cases.other
     alone = [case.call(stage) for case in both]
@@ -59,11 +59,11 @@ def check_threads_agree(stage: Stage[Any]) -> None:
 
 
 def check_crosses_to_another_process(stage: Stage[Any]) -> None:
-    """A stage can be pickled, as workers need it, and does the same afterwards."""
+    """A stage can be pickled, as worker processes require, and gives the same results afterwards."""
     try:
         other = pickle.loads(pickle.dumps(stage))
     except Exception as error:
-        raise NotKeptError(f"it cannot be pickled: {type(error).__name__}: {error}") from error
+        raise CheckFailedError(f"it cannot be pickled: {type(error).__name__}: {error}") from error
     case = cases_for(stage).ordinary
     _agree(case.call(stage), case.call(other), "the pickled stage gives another result")
 
@@ -82,7 +82,7 @@ def check_nothing_in_gives_nothing_out(stage: Stage[Any]) -> None:
 
 
 def check_options_come_back_from_their_dump(stage: Stage[Any]) -> None:
-    """Options can be dumped and read again, so that a run can be made again from what it stored."""
+    """Options can be dumped and read again, so that a run can be repeated from its stored options."""
     options = stage.options
     _agree(options, type(options).model_validate(options.model_dump()), "read again, options are others")
     as_json = type(options).model_validate_json(options.model_dump_json())
@@ -90,14 +90,14 @@ def check_options_come_back_from_their_dump(stage: Stage[Any]) -> None:
 
 
 def check_options_are_frozen_and_closed(stage: Stage[Any]) -> None:
-    """Options cannot be changed once made, and an unknown option is refused."""
+    """Options cannot be changed, and an unknown option is refused."""
     options = stage.options
     require(type(options).model_config.get("frozen"), "options are not frozen")
     try:
         type(options).model_validate({**options.model_dump(), "no_such_option": 1})
     except ValidationError:
         return
-    raise NotKeptError("an option that does not exist is accepted without an error")
+    raise CheckFailedError("an option that does not exist is accepted without an error")
 
 
 def check_every_option_is_described(stage: Stage[Any]) -> None:
@@ -113,7 +113,7 @@ def check_every_option_is_described(stage: Stage[Any]) -> None:
 
 
 def check_every_number_is_bounded(stage: Stage[Any]) -> None:
-    """Every option that is a number has a bound, so that nonsense is refused before anything runs."""
+    """Every numeric option has a bound, so that absurd values are refused before anything runs."""
     schema = type(stage.options).model_json_schema()
     loose = [
         f"{model}.{name}"

@@ -58,7 +58,7 @@ def check_a_colour_frame_of_circles_is_refused(extractor: Extractor[Any]) -> Non
 
 
 def check_a_camera_over_circles_at_rest_is_left_alone(aligner: Aligner[Any]) -> None:
-    """Where the belt's circles lie as calibrated, under a product, nothing is corrected or said."""
+    """Where the belt's circles lie as calibrated, under a product, there is no correction and no reason."""
     rig = CircleRig()
     peaks = rig.circle_peaks(rig.x_on_rows(rig.circle_dome(8.0)))[0]
     found = aligner.align(peaks, rig.circle_calibration(), moved_circles)
@@ -67,7 +67,7 @@ def check_a_camera_over_circles_at_rest_is_left_alone(aligner: Aligner[Any]) -> 
 
 
 def check_a_moved_camera_over_circles_is_corrected(aligner: Aligner[Any]) -> None:
-    """A shift, a turn and a zoom of a pixel or two are corrected to within 0.15 px, and said."""
+    """A shift, a rotation and a zoom of 1 to 2 px are corrected to within 0.15 px, with a reason."""
     rig = CircleRig()
     rows, there = np.arange(rig.rows, dtype=np.float64), np.isfinite(rig.x_on_rows(level))
     for motion in ((0.8, 0.0, 0.0, 0.0), (0.0, 9e-3, 0.0, 0.0), (0.0, 0.0, 9e-3, 0.0)):
@@ -89,9 +89,10 @@ def check_circles_far_off_are_refused(aligner: Aligner[Any]) -> None:
 
 
 def check_a_belt_without_circles_is_told(aligner: Aligner[Any]) -> None:
-    """Where no circle is seen nothing is corrected, and that it was not compared is said."""
+    """Where no circle is seen there is no correction, and a reason says that nothing was compared."""
     rig = CircleRig()
-    found = aligner.align(_none(rig), rig.circle_calibration(), moved_circles)
+    nothing = rig.circle_peaks(np.full((rig.stripes, rig.rows), np.nan))[0]
+    found = aligner.align(nothing, rig.circle_calibration(), moved_circles)
     require(not found.moved, "it corrects by a belt that is not seen")
     require(bool(found.reasons), "it says nothing of a belt that is not seen")
 
@@ -137,7 +138,7 @@ def check_light_that_is_no_circle_is_refused(coder: Coder[Any]) -> None:
 
 
 def check_circles_are_where_the_scene_is(triangulator: Triangulator[Any]) -> None:
-    """Exact places give every point on the surface within `height_tolerance_mm`, what is not seen none."""
+    """Exact places give every point on the surface within `height_tolerance_mm`; unseen ones give none."""
     rig = CircleRig()
     surface = rig.circle_dome(10.0)
     x_px = rig.x_on_rows(surface)
@@ -163,7 +164,7 @@ def check_other_circles_are_refused(triangulator: Triangulator[Any]) -> None:
 
 
 def check_a_moved_camera_gives_the_same_circles(triangulator: Triangulator[Any]) -> None:
-    """The calibration of a camera moved by less than a pixel has the belt's circles where they now are."""
+    """A calibration corrected for a small motion has the belt's circles where the image shows them."""
     rig = CircleRig()
     calibration = calibration_for(triangulator, rig)
     if type(triangulator).moved is Triangulator.moved:
@@ -179,7 +180,7 @@ def check_a_moved_camera_gives_the_same_circles(triangulator: Triangulator[Any])
 
 
 def check_cones_come_back(calibrator: Calibrator[Any]) -> None:
-    """Cones meet the belt where circles are seen, and move as the rig's with height; their file is whole."""
+    """Cones meet the belt where circles are seen, and move with height as the rig's; the file is complete."""
     rig = CircleRig()
     calibration = calibrator.calibrate(calibration_set_for(calibrator, rig))
     view = calibration.view
@@ -200,7 +201,7 @@ def check_cones_come_back(calibrator: Calibrator[Any]) -> None:
 
 
 def check_a_wrong_number_of_circles_is_refused(calibrator: Calibrator[Any]) -> None:
-    """Another number of circles than is seen, and no image at all, are refused by a `CalibrationError`."""
+    """A wrong number of circles, and a set without images, are refused by a `CalibrationError`."""
     observed = calibration_set_for(calibrator, CircleRig())
     for what, other in (
         ("four circles where five are seen", replace(observed, stripe_count=8)),
@@ -209,7 +210,3 @@ def check_a_wrong_number_of_circles_is_refused(calibrator: Calibrator[Any]) -> N
     ):
         with refused(what, CalibrationError):
             calibrator.calibrate(other)
-
-
-def _none(rig: CircleRig) -> Any:
-    return rig.circle_peaks(np.full((rig.stripes, rig.rows), np.nan))[0]

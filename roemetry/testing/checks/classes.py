@@ -26,7 +26,7 @@ def check_order_of_slices_does_not_matter(classifier: Classifier[Any]) -> None:
 
 
 def check_mirroring_does_not_matter(classifier: Classifier[Any]) -> None:
-    """A body and rig with left and right exchanged get the same class."""
+    """A mirrored body under a mirrored rig gets the same class."""
     for name, solid in (("smooth", HALF_ELLIPSOID), ("dented", DENTED)):
         one = classifier.classify(product_of(solid))
         other = classifier.classify(product_of(solid.mirrored(), DENSE.mirrored()))
@@ -34,7 +34,7 @@ def check_mirroring_does_not_matter(classifier: Classifier[Any]) -> None:
 
 
 def check_almost_nothing_is_unknown(classifier: Classifier[Any]) -> None:
-    """A product of a few points is ``unknown``, not an exception and not a guess."""
+    """A product of a few points is ``unknown``: no exception, no guess."""
     heights = np.full((DENSE.stripes, DENSE.rows), np.nan)
     heights[30, 100:103] = 5.0
     label = classifier.classify(product_from(heights)).label
@@ -61,7 +61,7 @@ def check_probability_is_one_or_not_stated(classifier: Classifier[Any]) -> None:
 
 
 def check_marks_lie_on_the_product(classifier: Classifier[Any]) -> None:
-    """Evidence to draw starts on the product, within a pixel of its extent in the image."""
+    """Marks start on the product, within a pixel of its extent in the image."""
     for name, product in _both():
         marks = classifier.classify(product).marks
         if marks is None or not marks.stripe.size:
@@ -85,7 +85,7 @@ def _both() -> tuple[tuple[str, Product], ...]:
 
 
 def check_every_decision_has_reasons(grader: Grader[Any]) -> None:
-    """Every decision has a label and a reason in words, with much known and with nothing."""
+    """Every decision has a label and a reason in words, also when nothing is known."""
     for name, decision in (("whole", decided(grader)), ("bare", _of_nothing(grader))):
         require(bool(decision.label.strip()), f"the {name} product's decision has no label")
         require(
@@ -95,7 +95,7 @@ def check_every_decision_has_reasons(grader: Grader[Any]) -> None:
 
 
 def check_a_decided_class_is_a_possible_one(grader: Grader[Any]) -> None:
-    """A label that is given is among the possible ones; with several possible it need not be given."""
+    """A stated label is among the possible ones; if several are possible there may be none."""
     decision = decided(grader)
     require(bool(decision.possible), "no class is possible")
     if len(decision.possible) == 1:
@@ -103,14 +103,14 @@ def check_a_decided_class_is_a_possible_one(grader: Grader[Any]) -> None:
 
 
 def check_uncertainty_does_not_take_a_class_away(grader: Grader[Any]) -> None:
-    """What is possible with small uncertainties is possible with large ones."""
+    """A class that is possible with small uncertainties is possible with large ones."""
     sure, unsure = decided(grader, std_g=1e-6), decided(grader, std_g=5.0)
     lost = set(sure.possible) - set(unsure.possible)
     require(not lost, f"with a larger uncertainty {', '.join(sorted(lost))} is not possible any more")
 
 
 def check_it_needs_kinds_of_stage(grader: Grader[Any]) -> None:
-    """What it needs are kinds of stage."""
+    """`needs` names kinds of stages."""
     unknown = grader.needs() - set(INTERFACES)
     require(not unknown, f"it needs {', '.join(sorted(unknown))}, which is no kind of stage")
 

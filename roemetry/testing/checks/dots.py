@@ -39,7 +39,7 @@ def check_dots_are_right(extractor: Extractor[Any]) -> None:
 
 
 def check_brightness_of_dots_does_not_matter(extractor: Extractor[Any]) -> None:
-    """An image 1.3 times as bright, or of 12 bit, gives as many dots, sound ones within 0.02 px of before."""
+    """An image 1.3 times as bright, or of 12 bit, gives the same dots, unflagged ones within 0.02 px."""
     rig = DotRig()
     light = rig.spots(rig.places_px(rig.hill()), 120.0)
     one = extractor.extract(frame_of(light))
@@ -75,7 +75,7 @@ def check_saturated_dots_are_flagged(extractor: Extractor[Any]) -> None:
 
 
 def check_merged_dots_are_no_sound_dot(extractor: Extractor[Any]) -> None:
-    """Two dots 4 px apart are found as two or flagged `WIDE`: no sound dot between them is given."""
+    """Two dots 4 px apart are found as two or flagged `WIDE`; there is no unflagged dot between them."""
     rig = DotRig()
     places = rig.places_px(rig.level()).reshape(-1, 2)
     first = places[len(places) // 2]
@@ -108,7 +108,7 @@ def check_a_colour_frame_of_dots_is_refused(extractor: Extractor[Any]) -> None:
 
 
 def check_a_camera_over_dots_at_rest_is_left_alone(aligner: Aligner[Any]) -> None:
-    """Where the belt's dots lie as calibrated, under a product, nothing is corrected and nothing is said."""
+    """Where the belt's dots lie as calibrated, under a product, there is no correction and no reason."""
     rig = DotRig()
     found = aligner.align(rig.dots(rig.places_px(_product(rig))), rig.dot_calibration(), moved_dots)
     require(not found.moved, f"a motion of {found.motion} is corrected where nothing has moved")
@@ -116,7 +116,7 @@ def check_a_camera_over_dots_at_rest_is_left_alone(aligner: Aligner[Any]) -> Non
 
 
 def check_a_moved_camera_over_dots_is_corrected(aligner: Aligner[Any]) -> None:
-    """A shift either way, a turn and a zoom, of some 0.8 px, are corrected to within 0.1 px and said."""
+    """Shifts, a rotation and a zoom of about 0.8 px are corrected to within 0.1 px, with a reason."""
     rig = DotRig()
     for motion in ((0.8, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 8e-4), (0.0, 9e-3, 0.0, 0.0), (0.0, 0.0, 9e-3, 0.0)):
         moved = moved_dots(rig.dot_calibration(), Alignment(np.array(motion), np.zeros((4, 4))))
@@ -146,7 +146,7 @@ def check_dots_far_off_are_refused(aligner: Aligner[Any]) -> None:
 
 
 def check_a_belt_without_dots_is_told(aligner: Aligner[Any]) -> None:
-    """Where no dot is seen nothing is corrected, and that it was not compared is said."""
+    """Where no dot is seen there is no correction, and a reason says that nothing was compared."""
     rig = DotRig()
     nothing = rig.dots(np.full((1, 2), np.nan))
     found = aligner.align(nothing, rig.dot_calibration(), moved_dots)
@@ -160,14 +160,14 @@ def _product(rig: DotRig) -> Floats:
 
 
 def check_a_hill_of_dots_is_coded(coder: Coder[Any]) -> None:
-    """On a dome at least 99 % of the dots are labelled, with column and place in it, and none wrongly."""
+    """On a dome at least 99 % of the dots are labelled with column and line, and none wrongly."""
     rig = DotRig()
     for height_mm in (3.0, 10.0, 20.0):
         _coded(coder, rig, rig.hill(height_mm), np.ones((rig.stripes, rig.lines), np.bool_))
 
 
 def check_missing_dots_shift_nothing(coder: Coder[Any]) -> None:
-    """Dots that are hidden, one in five and a whole column, cost themselves and no label."""
+    """Hidden dots, one in five and a whole column, change no label of other dots."""
     rig = DotRig()
     shown = np.random.default_rng(7).uniform(size=(rig.stripes, rig.lines)) > 0.2
     shown[4] = False
@@ -193,7 +193,7 @@ def check_half_the_dots_are_refused(coder: Coder[Any]) -> None:
 
 
 def check_another_pattern_is_refused(coder: Coder[Any]) -> None:
-    """Dots at random, and the matrix with columns and lines exchanged, are refused by a `StageError`."""
+    """Random dots, and the matrix with columns and lines exchanged, are refused by a `StageError`."""
     rig = DotRig()
     places = rig.places_px(rig.level()).reshape(-1, 2)
     middle = places.mean(axis=0)
@@ -219,7 +219,7 @@ def check_lines_are_refused(coder: Coder[Any]) -> None:
 
 
 def check_dots_are_where_the_scene_is(triangulator: Triangulator[Any]) -> None:
-    """Exact dots give every point within the declared `height_tolerance_mm`, and what is not seen none."""
+    """Exact dots give every point within the declared `height_tolerance_mm`; unseen ones give none."""
     rig = DotRig()
     heights = rig.hill()
     heights[3, 4] = heights[5] = np.nan
@@ -253,7 +253,7 @@ def check_other_dots_are_refused(triangulator: Triangulator[Any]) -> None:
 
 
 def check_a_moved_camera_gives_the_same_dots(triangulator: Triangulator[Any]) -> None:
-    """The calibration of a camera moved by less than a pixel has the belt's dots where it now shows them."""
+    """A calibration corrected for a small motion has the belt's dots where the image shows them."""
     rig = DotRig()
     calibration = calibration_for(triangulator, rig)
     if type(triangulator).moved is Triangulator.moved:
@@ -273,7 +273,7 @@ def check_a_moved_camera_gives_the_same_dots(triangulator: Triangulator[Any]) ->
 
 
 def check_rays_come_back(calibrator: Calibrator[Any]) -> None:
-    """Rays meet the belt where dots are seen, and lie apart and diverge as the rig's; their file is whole."""
+    """Rays meet the belt where dots are seen, with the rig's spacing and divergence; the file is complete."""
     rig = DotRig()
     observed = calibration_set_for(calibrator, rig)
     calibration = calibrator.calibrate(observed)
@@ -305,7 +305,7 @@ def check_rays_come_back(calibrator: Calibrator[Any]) -> None:
 
 
 def check_a_wrong_number_of_dots_is_refused(calibrator: Calibrator[Any]) -> None:
-    """Another number of columns than is seen, and no image at all, are refused by a `CalibrationError`."""
+    """A wrong number of columns, and a set without images, are refused by a `CalibrationError`."""
     observed = calibration_set_for(calibrator, DotRig())
     for what, other in (
         ("nine columns where fifteen are seen", replace(observed, stripe_count=9)),

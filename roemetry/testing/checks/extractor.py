@@ -42,7 +42,7 @@ def check_centres_are_not_biased(extractor: Extractor[Any]) -> None:
 
 
 def check_one_stripe_gives_one_peak(extractor: Extractor[Any]) -> None:
-    """A noise-free stripe gives one peak in a row, and the dark between stripes none."""
+    """A noise-free stripe gives one peak per row, and there is none between stripes."""
     rig = LinearRig()
     peaks = extractor.extract(frame_of(rig.light(rig.x_px(rig.belt()))))
     inner = np.diff(peaks.row_start)[_ROWS_LEFT_OUT:-_ROWS_LEFT_OUT]
@@ -55,7 +55,7 @@ def check_one_stripe_gives_one_peak(extractor: Extractor[Any]) -> None:
 
 
 def check_a_shifted_image_shifts_the_peaks(extractor: Extractor[Any]) -> None:
-    """An image shifted by 3 columns gives the same peaks 3 px further on."""
+    """An image shifted by 3 columns gives the same peaks, shifted by 3 px."""
     rig = LinearRig()
     pixels = frame_of(rig.light(rig.x_px(rig.dome()))).pixels
     here = extractor.extract(Frame(pixels))
@@ -153,7 +153,7 @@ def check_a_colour_frame_is_refused(extractor: Extractor[Any]) -> None:
 
 
 def check_steps_are_counted_right(extractor: Extractor[Any]) -> None:
-    """Where an extractor counts steps of the grey level for the core, it counts what whole arrays give."""
+    """If an extractor counts grey-level steps for the core, its counts equal those of plain numpy."""
     rig = LinearRig()
     pixels = frame_of(rig.light(rig.x_px(rig.dome())), noise=2.0).pixels
     light, least = pixels.astype(np.int64), 20

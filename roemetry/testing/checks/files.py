@@ -23,7 +23,7 @@ from roemetry.testing.verdict import difference, refused, require
 
 
 def check_acquisitions_are_found_and_read(source: Source[Any]) -> None:
-    """Two acquisitions are listed in order, each with an id of its own, and read under it."""
+    """Two acquisitions are listed in order with different ids, and each can be read by its id."""
     with tempfile.TemporaryDirectory() as folder:
         references = source.references(readable_path(source, Path(folder)))
         require(len(references) == 2, f"{len(references)} acquisitions are listed, 2 are there")
@@ -49,7 +49,7 @@ def check_reading_order_does_not_matter(source: Source[Any]) -> None:
 
 
 def check_a_missing_path_is_named(source: Source[Any]) -> None:
-    """A path where there is nothing is a `DataError` that names it."""
+    """A path that does not exist raises a `DataError` that names it."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "nowhere"
         with refused("a path that is not there", DataError) as caught:
@@ -58,7 +58,7 @@ def check_a_missing_path_is_named(source: Source[Any]) -> None:
 
 
 def check_an_unreadable_file_is_named(source: Source[Any]) -> None:
-    """A file that is missing, empty or damaged is a `DataError` that names it."""
+    """A file that is missing, empty or damaged raises a `DataError` that names it."""
     for content in (None, b"", b"not what it should be\n" * 9):
         with tempfile.TemporaryDirectory() as folder:
             references = source.references(readable_path(source, Path(folder)))
@@ -80,7 +80,7 @@ def _broken(reference: AcquisitionReference, folder: Path, content: bytes | None
 
 
 def check_it_writes_what_it_says(sink: Sink[Any]) -> None:
-    """The files it names are there after it has written, and hold something."""
+    """The files it names exist after writing and are not empty."""
     with tempfile.TemporaryDirectory() as folder:
         paths = _written(sink, Path(folder) / "run", measured(), failed())
         require(paths, "it names no file")
@@ -121,13 +121,13 @@ def check_an_empty_run_works(sink: Sink[Any]) -> None:
 
 
 def check_failed_rows_and_lost_images_work(sink: Sink[Any]) -> None:
-    """Rows that failed, and acquisitions whose image is gone, do not stop it."""
+    """Failed rows, and acquisitions whose image is missing, do not stop it."""
     with tempfile.TemporaryDirectory() as folder:
         _written(sink, Path(folder) / "run", failed("p1"), failed("p2"))
 
 
 def check_it_can_write_again(sink: Sink[Any]) -> None:
-    """Writing a second time into the same folder replaces what it wrote."""
+    """Writing a second time into the same folder replaces its files."""
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / "run"
         first = {path: path.read_bytes() for path in _written(sink, run, measured())}
@@ -136,7 +136,7 @@ def check_it_can_write_again(sink: Sink[Any]) -> None:
 
 
 def check_a_folder_that_cannot_be_is_refused(sink: Sink[Any]) -> None:
-    """A folder that is not there, and cannot be made, is a `RoemetryError`."""
+    """A folder that cannot be created raises a `RoemetryError`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "file"
         path.write_text("in the way", encoding="utf-8")
@@ -150,7 +150,7 @@ def _written(sink: Sink[Any], folder: Path, *rows: Measurement) -> list[Path]:
 
 
 def check_numbers_and_seeds_make_others(simulator: Simulator[Any]) -> None:
-    """Another number and another seed make another image."""
+    """Another number, or another seed, gives another image."""
     one, number, seed = (simulator.simulate(*which) for which in ((0, 1), (1, 1), (0, 2)))
     require(difference(one.frames, number.frames) is not None, "numbers 0 and 1 are the same image")
     require(difference(one.frames, seed.frames) is not None, "seeds 1 and 2 make the same image")
@@ -170,7 +170,7 @@ def check_truth_fits_the_image(simulator: Simulator[Any]) -> None:
 
 
 def check_every_figure_has_unit_and_basis(planner: Planner[Any]) -> None:
-    """Every figure, table, map and curve says its unit, and the formula or source it comes from."""
+    """Every figure, table, map and curve states its unit, and its formula or source."""
     plan = planner.plan(simulate=False)
     require(bool(plan.figures), "the plan has no figures")
     columns = [column for table in plan.tables for column in table.columns]
@@ -189,7 +189,7 @@ def check_every_figure_has_unit_and_basis(planner: Planner[Any]) -> None:
 
 
 def check_what_is_missing_has_a_reason(planner: Planner[Any]) -> None:
-    """A plan with a figure that cannot be said (NaN) has reasons in words."""
+    """A plan with a figure that is not known (NaN) has reasons in words."""
     plan = planner.plan(simulate=False)
     missing = [one.name for one in plan.figures if math.isnan(one.value)]
     require(not missing or bool(plan.reasons), f"{', '.join(missing)}: no reason is given")
@@ -199,7 +199,7 @@ _WAIT_S = 10.0  # longer than any feed takes for its first frames
 
 
 def check_frames_come_in_order(feed: Feed[Any]) -> None:
-    """Two frames come within ten seconds, whole, each with a higher number and the host's time."""
+    """Two complete frames arrive within ten seconds, with rising numbers and the host's time."""
     first, second = _taken(feed, 2)
     require(second.number > first.number, f"frame {second.number} comes after frame {first.number}")
     for live in (first, second):
@@ -209,7 +209,7 @@ def check_frames_come_in_order(feed: Feed[Any]) -> None:
 
 
 def check_it_can_be_opened_again(feed: Feed[Any]) -> None:
-    """A feed that was closed gives frames again when it is opened again."""
+    """A closed feed gives frames again when it is opened again."""
     _taken(feed, 1)
     _taken(feed, 1)
 
@@ -227,7 +227,7 @@ def _taken(feed: Feed[Any], many: int) -> list[LiveFrame]:
 
 
 def check_a_receiver_that_is_not_there_is_refused(outlet: Outlet[Any]) -> None:
-    """Made with its fixture's options, at which nobody is, delivering is an `OutputError` with an address."""
+    """If nothing listens at the fixture's address, delivery raises an `OutputError` with the address."""
     row = LineRow(1, "line/run/000001#1", "product", {"id": "000001#1", "status": "measured"}, "{}")
     with refused("a receiver that is not there", OutputError) as caught, outlet.open() as deliver:
         deliver([row])

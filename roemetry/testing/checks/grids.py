@@ -39,7 +39,7 @@ def check_lines_of_a_grid_are_right(extractor: Extractor[Any]) -> None:
 
 
 def check_white_crossings_give_no_peak(extractor: Extractor[Any]) -> None:
-    """Where two lines together are white, no peak is off by more than `saturated_tolerance_px`."""
+    """Where two lines together saturate, no peak is off by more than `saturated_tolerance_px`."""
     rig = GridRig()
     heights = rig.hill(0.0)
     peaks = extractor.extract(frame_of(rig.grid_light(heights, 180.0)))
@@ -66,7 +66,7 @@ def check_a_colour_frame_of_a_grid_is_refused(extractor: Extractor[Any]) -> None
 
 
 def check_a_camera_over_a_grid_at_rest_is_left_alone(aligner: Aligner[Any]) -> None:
-    """Where both families lie as calibrated, under a product, nothing is corrected and nothing is said."""
+    """Where both families lie as calibrated, under a product, there is no correction and no reason."""
     rig = GridRig()
     found = aligner.align(rig.grid_peaks(_product(rig)), rig.grid_calibration(), moved_grid)
     require(not found.moved, f"a motion of {found.motion} is corrected where nothing has moved")
@@ -74,7 +74,7 @@ def check_a_camera_over_a_grid_at_rest_is_left_alone(aligner: Aligner[Any]) -> N
 
 
 def check_a_moved_camera_over_a_grid_is_corrected(aligner: Aligner[Any]) -> None:
-    """A shift either way, a turn and a zoom, of some 0.8 px, are corrected to within 0.1 px and said."""
+    """Shifts, a rotation and a zoom of about 0.8 px are corrected to within 0.1 px, with a reason."""
     rig = GridRig()
     made = rig.grid_calibration()
     for motion in ((0.8, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 8e-4), (0.0, 7e-3, 0.0, 0.0), (0.0, 0.0, 7e-3, 0.0)):
@@ -102,7 +102,7 @@ def check_a_grid_far_off_is_refused(aligner: Aligner[Any]) -> None:
 
 
 def check_a_belt_without_a_grid_is_told(aligner: Aligner[Any]) -> None:
-    """Where no line is seen nothing is corrected, and that it was not compared is said."""
+    """Where no line is seen there is no correction, and a reason says that nothing was compared."""
     rig = GridRig()
     upright, across = (np.full_like(height, np.nan) for height in rig.hill())
     found = aligner.align(rig.grid_peaks((upright, across)), rig.grid_calibration(), moved_grid)
@@ -145,7 +145,7 @@ def check_a_hill_of_a_grid_is_coded(coder: Coder[Any]) -> None:
 
 
 def check_families_that_contradict_are_refused(coder: Coder[Any]) -> None:
-    """Lines across of another scene leave no point of the product, or are refused by a `StageError`."""
+    """With the lines across of another scene, the product has no point, or a `StageError` is raised."""
     rig = GridRig()
     mixed = rig.hill(19.0)[0], rig.hill(0.0)[1]
     try:
@@ -199,7 +199,7 @@ def check_other_grids_are_refused(triangulator: Triangulator[Any]) -> None:
 
 
 def check_a_moved_camera_gives_both_families(triangulator: Triangulator[Any]) -> None:
-    """The calibration of a camera moved by less than a pixel gives lines that have moved with it heights."""
+    """A calibration corrected for a small motion gives correct heights of the moved lines."""
     rig = GridRig()
     calibration = calibration_for(triangulator, rig)
     if type(triangulator).moved is Triangulator.moved:
@@ -218,7 +218,7 @@ def check_a_moved_camera_gives_both_families(triangulator: Triangulator[Any]) ->
 
 
 def check_both_families_come_back(calibrator: Calibrator[Any]) -> None:
-    """Rest lines of both families come back within `tolerance_px`; one family, and no image, are refused."""
+    """Rest lines of both families are recovered within `tolerance_px`; one family or no image is refused."""
     rig = GridRig()
     observed = calibration_set_for(calibrator, rig)
     calibration = calibrator.calibrate(observed)

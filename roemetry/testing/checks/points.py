@@ -18,7 +18,7 @@ from roemetry.testing.verdict import difference, refused, require
 
 
 def check_rest_lines_come_back(calibrator: Calibrator[Any]) -> None:
-    """Every stripe's rest line comes back within the declared `tolerance_px`, on every row."""
+    """Every stripe's rest line is recovered within the declared `tolerance_px`, on every row."""
     rig = LinearRig()
     calibration = calibrator.calibrate(calibration_set_for(calibrator, rig))
     off = np.abs(calibration.rest_line_px(np.arange(rig.rows, dtype=np.float64)) - rig.rest_px()).max()
@@ -27,7 +27,7 @@ def check_rest_lines_come_back(calibrator: Calibrator[Any]) -> None:
 
 
 def check_displacements_come_back_with_their_sign(calibrator: Calibrator[Any]) -> None:
-    """Every stripe's px per mm comes back within the `relative_tolerance`, with the side of the laser."""
+    """Every stripe's px per mm is recovered within the `relative_tolerance`, with the right sign."""
     for rig in (LinearRig(), LinearRig().mirrored()):
         found = calibrator.calibrate(calibration_set_for(calibrator, rig)).displacement_px_per_mm
         off = np.abs(found / rig.px_per_mm - 1.0).max()
@@ -36,7 +36,7 @@ def check_displacements_come_back_with_their_sign(calibrator: Calibrator[Any]) -
 
 
 def check_the_covariance_can_be_drawn_from(calibrator: Calibrator[Any]) -> None:
-    """The covariance is symmetric, has no negative direction, and gives finite parameters when drawn from."""
+    """The covariance is symmetric and positive semidefinite, and draws from it give finite parameters."""
     calibration = calibrator.calibrate(calibration_set_for(calibrator, LinearRig()))
     covariance = calibration.covariance
     require(bool(np.isfinite(covariance).all()), "the covariance is not finite")
@@ -48,7 +48,7 @@ def check_the_covariance_can_be_drawn_from(calibrator: Calibrator[Any]) -> None:
 
 
 def check_it_survives_its_file(calibrator: Calibrator[Any]) -> None:
-    """The calibration can be written to its file and read again without a change."""
+    """The calibration can be written to a file and read again unchanged."""
     require_it_survives_its_file(calibrator.calibrate(calibration_set_for(calibrator, LinearRig())))
 
 
@@ -65,7 +65,7 @@ def require_it_survives_its_file(calibration: Calibration) -> None:
 
 
 def check_no_image_is_refused(calibrator: Calibrator[Any]) -> None:
-    """Without any observation it refuses by a `CalibrationError` that says what is missing."""
+    """Without observations, a `CalibrationError` says what is missing."""
     observed = replace(calibration_set_for(calibrator, LinearRig()), observations=())
     with refused("a set without observations", CalibrationError):
         calibrator.calibrate(observed)
@@ -84,7 +84,7 @@ def check_points_are_where_the_scene_is(triangulator: Triangulator[Any]) -> None
 
 
 def check_a_mirrored_rig_measures_alike(triangulator: Triangulator[Any]) -> None:
-    """With the laser on the other side, points are where the scene is; heights stay positive."""
+    """With the laser on the other side, points are in the right place, and heights stay positive."""
     rig = LinearRig().mirrored()
     _near(triangulator, rig, rig.dome())
 
@@ -141,7 +141,7 @@ def check_nothing_seen_gives_no_point(triangulator: Triangulator[Any]) -> None:
 
 
 def check_labels_are_carried_over(triangulator: Triangulator[Any]) -> None:
-    """Belt, product and seen stay with their points."""
+    """`product` and `seen` stay with their points."""
     rig = LinearRig()
     heights = rig.dome()
     profiles = _profiles(triangulator, rig, heights)
@@ -175,7 +175,7 @@ def check_another_image_size_is_refused(triangulator: Triangulator[Any]) -> None
 
 
 def check_a_moved_camera_measures_alike(triangulator: Triangulator[Any]) -> None:
-    """By a calibration moved with the image, heights are as before to 0.05 mm; or moving it is refused."""
+    """With a calibration corrected for a motion, heights stay within 0.05 mm; or correcting is refused."""
     rig = LinearRig()
     calibration = calibration_for(triangulator, rig)
     shift = Alignment(np.array([_SHIFT_PX, 0.0, 0.0, 0.0]), np.zeros((4, 4)))

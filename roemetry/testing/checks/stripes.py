@@ -28,7 +28,7 @@ _CLEAR_MM = 1.0
 
 
 def check_a_dome_is_labelled_whole(coder: Coder[Any]) -> None:
-    """On a plain dome every point is labelled correctly: at least 99 % of them, and none wrong."""
+    """On a smooth dome at least 99 % of the points are labelled, and none wrongly."""
     rig = LinearRig()
     coded = _coded(coder, rig, rig.dome())
     _none_wrong(coded)
@@ -44,7 +44,7 @@ def check_a_mirrored_rig_is_labelled_alike(coder: Coder[Any]) -> None:
 
 
 def check_a_missing_stripe_shifts_nothing(coder: Coder[Any]) -> None:
-    """A stripe that is missing altogether does not shift its neighbours' numbers."""
+    """A missing stripe does not shift its neighbours' numbers."""
     rig = LinearRig()
     coded = _coded(coder, rig, rig.dome(), hidden=(3, slice(None)))
     _none_wrong(coded)
@@ -53,7 +53,7 @@ def check_a_missing_stripe_shifts_nothing(coder: Coder[Any]) -> None:
 
 
 def check_a_hidden_body_shifts_nothing(coder: Coder[Any]) -> None:
-    """A stripe whose light on the product cannot be seen does not shift the bodies beside it."""
+    """A stripe that is invisible on the product does not shift the labels of bodies beside it."""
     rig = LinearRig()
     heights = rig.belt()
     heights[1:6, 60:140] = 12.0
@@ -62,7 +62,7 @@ def check_a_hidden_body_shifts_nothing(coder: Coder[Any]) -> None:
 
 
 def check_a_stripe_hidden_at_both_ends_shifts_nothing(coder: Coder[Any]) -> None:
-    """A stripe of which the image shows only the middle does not shift the bodies beside it."""
+    """A stripe of which only the middle is visible does not shift the labels of bodies beside it."""
     rig = LinearRig()
     for height_mm in (3.0, 10.0):
         x_px = rig.x_px(rig.dome(height_mm))
@@ -72,7 +72,7 @@ def check_a_stripe_hidden_at_both_ends_shifts_nothing(coder: Coder[Any]) -> None
 
 
 def check_gaps_shift_nothing(coder: Coder[Any]) -> None:
-    """Breaks of many lengths along the stripes cost the points that are missing, no label."""
+    """Gaps of various lengths along the stripes change no label of other points."""
     rig = LinearRig()
     rng = np.random.default_rng(7)
     x_px = rig.x_px(rig.dome())
@@ -83,7 +83,7 @@ def check_gaps_shift_nothing(coder: Coder[Any]) -> None:
 
 
 def check_a_body_past_its_neighbours_rest_line_is_not_mistaken(coder: Coder[Any]) -> None:
-    """A body displaced by more than a spacing is labelled correctly or refused, or its frame is."""
+    """A body with displacements above a spacing is labelled correctly, or refused alone or with its frame."""
     rig = LinearRig()
     x_px = rig.x_px(rig.dome(24.0))
     try:
@@ -94,7 +94,7 @@ def check_a_body_past_its_neighbours_rest_line_is_not_mistaken(coder: Coder[Any]
 
 
 def check_an_untouched_stripe_is_belt(coder: Coder[Any]) -> None:
-    """A stripe that nothing lies under is belt on all its rows."""
+    """A stripe beside all products is belt on all its rows."""
     rig = LinearRig()
     coded = _coded(coder, rig, rig.dome())
     for stripe in (0, rig.stripes - 1):
@@ -140,7 +140,7 @@ def check_a_grazed_tail_is_product(coder: Coder[Any]) -> None:
 
 
 def check_every_peak_gets_a_verdict(coder: Coder[Any]) -> None:
-    """Every peak gets a stripe, or `UNLABELLED`, or `AMBIGUOUS`, and no stripe gets two peaks of one row."""
+    """Every peak gets a stripe, `UNLABELLED` or `AMBIGUOUS`, and no stripe gets two peaks of one row."""
     rig = LinearRig()
     coded = _coded(coder, rig, rig.dome())
     verdict = coded.map.peak_stripe
@@ -155,7 +155,7 @@ def check_every_peak_gets_a_verdict(coder: Coder[Any]) -> None:
 
 
 def check_labelled_points_are_peaks(coder: Coder[Any]) -> None:
-    """The `x_px` of every seen point is the x of a peak of its row which was given to its stripe."""
+    """The `x_px` of every seen point is that of a peak of its row with its label."""
     rig = LinearRig()
     coded = _coded(coder, rig, rig.dome())
     seen = coded.map.seen
@@ -253,7 +253,7 @@ _STEP_ROWS = 2  # beside a step that a smoother may bend
 
 
 def check_straight_stripes_stay(smoother: Smoother[Any]) -> None:
-    """Stripes without noise that run straight stay where they are, to 1e-6 px."""
+    """Straight noise-free stripes stay in place to 1e-6 px."""
     rig = LinearRig()
     given = rig.stripe_map(rig.belt())
     found = smoother.smooth(given)
@@ -262,7 +262,7 @@ def check_straight_stripes_stay(smoother: Smoother[Any]) -> None:
 
 
 def check_scatter_becomes_less(smoother: Smoother[Any]) -> None:
-    """On straight stripes the scatter becomes less, and the stated uncertainty with it."""
+    """On straight stripes the scatter decreases, and so does the stated uncertainty."""
     rig = LinearRig()
     true = rig.stripe_map(rig.belt())
     noise = np.random.default_rng(SEED).normal(0.0, _ROUGH_PX, true.x_px.shape)
@@ -278,7 +278,7 @@ def check_scatter_becomes_less(smoother: Smoother[Any]) -> None:
 
 
 def check_labels_and_gaps_stay(smoother: Smoother[Any]) -> None:
-    """No label changes: labels, gaps, what was seen and what was refused stay as they are."""
+    """Labels, gaps, `seen` and `ambiguous` do not change."""
     rig = LinearRig()
     given = rig.stripe_map(rig.dome())
     x_px = given.x_px.copy()
@@ -299,7 +299,7 @@ def check_labels_and_gaps_stay(smoother: Smoother[Any]) -> None:
 
 
 def check_a_step_stays_a_step(smoother: Smoother[Any]) -> None:
-    """A step of many scatters along a stripe stays within two rows of its place."""
+    """A step along a stripe, much larger than the scatter, stays within two rows of its place."""
     rig = LinearRig()
     heights = rig.belt()
     heights[3, 100:] = 5.0
@@ -329,7 +329,7 @@ _WITHIN_PX = 0.1
 
 
 def check_a_camera_at_rest_is_left_alone(aligner: Aligner[Any]) -> None:
-    """Where the belt lies as calibrated, with a product on it, nothing is corrected and nothing is said."""
+    """Where the belt lies as calibrated, with a product on it, there is no correction and no reason."""
     rig = LinearRig()
     found = _align(aligner, rig, rig.x_px(rig.dome()))
     require(not found.moved, f"a motion of {found.motion} is corrected where nothing has moved")
@@ -337,29 +337,29 @@ def check_a_camera_at_rest_is_left_alone(aligner: Aligner[Any]) -> None:
 
 
 def check_a_small_shift_is_taken_out(aligner: Aligner[Any]) -> None:
-    """An image shifted by 0.8 px is corrected to within 0.1 px, and it is said."""
+    """An image shifted by 0.8 px is corrected to within 0.1 px, with a reason."""
     _taken_out(aligner, (0.8, 0.0, 0.0, 0.0))
 
 
 def check_a_small_turn_is_taken_out(aligner: Aligner[Any]) -> None:
-    """An image turned by 0.5°, which leaves the stripes' mean in place, is corrected to within 0.1 px."""
+    """An image rotated by 0.5°, which leaves the stripes' mean in place, is corrected to within 0.1 px."""
     _taken_out(aligner, (0.0, np.radians(0.5), 0.0, 0.0))
 
 
 def check_a_small_zoom_is_taken_out(aligner: Aligner[Any]) -> None:
-    """An image grown by 0.6 %, which leaves the stripes' mean in place, is corrected to within 0.1 px."""
+    """An image magnified by 0.6 %, which leaves the stripes' mean in place, is corrected to within 0.1 px."""
     _taken_out(aligner, (0.0, 0.0, 0.006, 0.0))
 
 
 def check_a_far_motion_is_refused(aligner: Aligner[Any]) -> None:
-    """An image turned by 8° is refused by a `StageError`."""
+    """An image rotated by 8° is refused by a `StageError`."""
     rig = LinearRig()
     with refused("an image turned by 8°", StageError):
         _align(aligner, rig, _moved_px(rig, (0.0, np.radians(8.0), 0.0, 0.0)))
 
 
 def check_an_unseen_belt_is_told(aligner: Aligner[Any]) -> None:
-    """Where no belt is seen nothing is corrected, and that it was not compared is said or refused."""
+    """Without a visible belt there is no correction, and a reason says so; or the frame is refused."""
     rig = LinearRig()
     try:
         found = _align(aligner, rig, np.full((rig.stripes, rig.rows), np.nan))

@@ -22,7 +22,7 @@ from roemetry.testing.solids import (
     product_of,
     reordered,
 )
-from roemetry.testing.verdict import NotKeptError, difference, refused, require
+from roemetry.testing.verdict import CheckFailedError, difference, refused, require
 
 _ORDER_TOLERANCE = 1e-9  # relative: sums in another order round otherwise
 _MIRROR_TOLERANCE = 1e-3  # relative: rows fall elsewhere on the mirrored body
@@ -49,7 +49,7 @@ def check_a_half_ellipsoid(estimator: VolumeEstimator[Any]) -> None:
 
 
 def check_volume_grows_with_the_cube(estimator: VolumeEstimator[Any]) -> None:
-    """The same scene twice and half as large has 8 and 1/8 of the volume, within the `relative_tolerance`."""
+    """The scene scaled by 2 and by 1/2 has 8 and 1/8 of the volume, within the `relative_tolerance`."""
     one = _visible_mm3(estimator.estimate(product_of(HALF_ELLIPSOID)))
     for factor in (2.0, 0.5):
         other = _visible_mm3(
@@ -72,7 +72,7 @@ def check_order_of_slices_does_not_matter(estimator: VolumeEstimator[Any]) -> No
 
 
 def check_a_mirrored_scene_has_the_same_volume(estimator: VolumeEstimator[Any]) -> None:
-    """A body and rig with left and right exchanged give the same volume, within a thousandth."""
+    """A mirrored body under a mirrored rig gives the same volume, within a thousandth."""
     one = _visible_mm3(estimator.estimate(product_of(HALF_ELLIPSOID)))
     mirrored = product_of(HALF_ELLIPSOID.mirrored(), DENSE.mirrored())
     off = _visible_mm3(estimator.estimate(mirrored)) / one - 1.0
@@ -90,7 +90,7 @@ def check_shares_add_up(estimator: VolumeEstimator[Any]) -> None:
 
 
 def check_a_dead_stripe_does_not_make_a_hole(estimator: VolumeEstimator[Any]) -> None:
-    """One stripe in the middle without any point changes the volume by less than one slice, or is refused."""
+    """A middle stripe without points changes the volume by less than one slice, or is refused."""
     product = product_of(HALF_ELLIPSOID)
     heights = product.profiles.xyz_mm[..., 2].copy()
     heights[DENSE.stripes // 2] = np.nan
@@ -121,7 +121,7 @@ def check_one_seed_gives_one_draw(estimator: VolumeEstimator[Any]) -> None:
 
 
 def check_no_point_is_no_number(estimator: VolumeEstimator[Any]) -> None:
-    """A product without any point is refused by a `RoemetryError`; no number is invented for it."""
+    """A product without points is refused by a `RoemetryError` and gets no number."""
     with refused("a product without points"):
         estimator.estimate(product_from(np.full((DENSE.stripes, DENSE.rows), np.nan)))
 
@@ -131,7 +131,7 @@ def stated_or_nan(estimate: Estimate) -> None:
     for cause, std in {"all": estimate.std, **estimate.budget}.items():
         require(math.isnan(std) or std >= 0.0, f"the standard uncertainty ({cause}) is {std:.4g}")
     if estimate.std == 0.0:
-        raise NotKeptError("the standard uncertainty is 0; what is not modelled is NaN")
+        raise CheckFailedError("the standard uncertainty is 0; what is not modelled is NaN")
 
 
 def _known(estimator: VolumeEstimator[Any], solid: Solid) -> None:

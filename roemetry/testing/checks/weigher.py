@@ -47,7 +47,7 @@ def check_uncertainty_is_positive_or_not_stated(weigher: Weigher[Any]) -> None:
 
 
 def check_an_unknown_volume_has_no_mass(weigher: Weigher[Any]) -> None:
-    """A volume of NaN gives a mass of NaN, or is refused; no number is invented for it."""
+    """A volume of NaN gives a mass of NaN, or is refused."""
     try:
         mass = _mass_g(weigher, math.nan)
     except RoemetryError:

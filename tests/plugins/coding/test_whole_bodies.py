@@ -19,9 +19,14 @@ def _wide_rig(planes: int) -> Any:
     camera = looking_down(
         640, 480, pixel_size_mm=0.01, focal_length_mm=16.0, distance_mm=500.0, tilt_x_deg=0.6, tilt_y_deg=-0.5
     )
-    feet = (130.0 / planes) * (np.arange(planes) - 0.5 * (planes - 1)) - 4.0
+    lines_x = (130.0 / planes) * (np.arange(planes) - 0.5 * (planes - 1)) - 4.0
     laser = fan_through(
-        (85.0, -4.0, 480.0), feet, yaw_deg=0.6, pitch_deg=0.3, sigma_mm=0.25, peak_grey=np.full(planes, 370.0)
+        (85.0, -4.0, 480.0),
+        lines_x,
+        yaw_deg=0.6,
+        pitch_deg=0.3,
+        sigma_mm=0.25,
+        peak_grey=np.full(planes, 370.0),
     )
     return coded.CodingRig("wide", camera, laser, 0.08, (0.0, 60.0))
 

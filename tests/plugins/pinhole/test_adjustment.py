@@ -13,9 +13,9 @@ from roemetry_pinhole.bundle import Measured, adjust, with_disagreement
 from roemetry_pinhole.geometry import (
     CAMERA,
     ON_BELT,
-    Feet,
+    BeltContacts,
+    contact_rows,
     corner_rows,
-    foot_rows,
     stripe_residuals,
     stripe_rows,
     unknowns_of,
@@ -33,9 +33,11 @@ def unknowns(geometry, **kept):
     )
 
 
-def adjusted(seen, start=None, foot_std_mm=0.03):
+def adjusted(seen, start=None, contact_std_mm=0.03):
     start = start or seen.geometry
-    return adjust(start, unknowns(start), seen.corners, seen.points, seen.feet, foot_std_mm=foot_std_mm)
+    return adjust(
+        start, unknowns(start), seen.corners, seen.points, seen.contacts, contact_std_mm=contact_std_mm
+    )
 
 
 def test_derivatives_are_those_of_the_equations(rng) -> None:
@@ -46,8 +48,8 @@ def test_derivatives_are_those_of_the_equations(rng) -> None:
     points = replace(exact.points, counts=counts)
     points = replace(points, x_px=points.x_px - stripe_residuals(geometry, points))
     corners = replace(exact.corners, counts=rng.uniform(-2.0, 2.0, exact.corners.pose.size))
-    feet = Feet(np.array([0, 3]), rng.uniform(0.0, 40.0, (2, 3)), np.array([0.0, 1.5]))
-    for rows, seen in ((corner_rows, corners), (stripe_rows, points), (foot_rows, feet)):
+    contacts = BeltContacts(np.array([0, 3]), rng.uniform(0.0, 40.0, (2, 3)), np.array([0.0, 1.5]))
+    for rows, seen in ((corner_rows, corners), (stripe_rows, points), (contact_rows, contacts)):
         assert_derivatives(rows, geometry, every, seen, step_sizes(every), 1e-4)
 
 
@@ -119,7 +121,7 @@ def test_a_lens_that_refocuses_makes_all_less_certain(rng) -> None:
         x = middle[0] + grown[at] * (seen.points.x_px - middle[0])
         corners, points = replace(seen.corners, xy_px=xy), replace(seen.points, x_px=x)
         start = seen.geometry
-        measured = Measured(start, unknowns(start), corners, points, seen.feet, 0.03)
+        measured = Measured(start, unknowns(start), corners, points, seen.contacts, 0.03)
         found = measured.adjusted()
         told = with_disagreement(measured, found)
         assert told.covariance == pytest.approx(told.disagreement * found.covariance)
@@ -133,8 +135,8 @@ def test_a_lens_that_refocuses_makes_all_less_certain(rng) -> None:
 
 def test_one_stripe_and_an_empty_belt_do_not_tell_the_belt(rng) -> None:
     exact = shown(replace(RIG, stripes=1), rng)
-    nobody = Feet(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0))
+    nobody = BeltContacts(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0))
     with pytest.raises(CalibrationError, match="does not determine"):
-        adjusted(replace(exact, feet=nobody))
+        adjusted(replace(exact, contacts=nobody))
     assert (exact.points.pose != ON_BELT).all()
     assert np.isfinite(adjusted(noisy(exact, rng, 0.05, 0.1, 0.02)).covariance).all()

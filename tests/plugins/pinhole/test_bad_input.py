@@ -18,7 +18,7 @@ from roemetry.records.calibration import Calibration
 from roemetry.testing.dots import DotRig
 from roemetry_pinhole.boards import Seen
 from roemetry_pinhole.conformance import dots_observed_of
-from roemetry_pinhole.initial_intrinsics import first_camera
+from roemetry_pinhole.initial_intrinsics import initial_camera
 from tests.plugins.pinhole.board_set import (
     CHARUCO,
     CHESS,
@@ -151,7 +151,7 @@ def test_a_board_described_wrongly_is_what_is_to_be_mended(tmp_path: Path) -> No
 def test_of_one_image_the_hint_speaks_as_of_one() -> None:
     seen = Seen(left_out={"on_1.png": "it is blurred"})
     with pytest.raises(CalibrationError) as caught:
-        first_camera(seen, (300, 400), "five", None, 1)
+        initial_camera(seen, (300, 400), "five", None, 1)
     assert caught.value.hint == "begin with the reason given for the image"
 
 

@@ -15,7 +15,7 @@ from roemetry_pinhole.bundle import Adjusted, Measured
 from roemetry_pinhole.calibrator import PinholeCalibrator
 from roemetry_pinhole.conformance import _image, _peaks, _pose, observed_of
 from roemetry_pinhole.from_solids import from_solids
-from roemetry_pinhole.geometry import CAMERA, Feet, Geometry, StripePoints, unknowns_of
+from roemetry_pinhole.geometry import CAMERA, BeltContacts, Geometry, StripePoints, unknowns_of
 from roemetry_pinhole.pinhole_plane import lines_at_height, parameters_of, view_of
 from roemetry_pinhole.plates import find_plate, from_plate
 from roemetry_pinhole.solids import shape_of
@@ -71,8 +71,11 @@ def boards_of(exact: Shown) -> Measured:
     far = exact.corners.board_mm.max(axis=0)
     under = far * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 1.0, 0.0]])
     unknowns = unknowns_of(start, free_camera=np.zeros(CAMERA, bool), planes=False, belt=False, travel=False)
-    points, feet = StripePoints(whole, whole, none, none, none, none), Feet(first, under, np.zeros(3))
-    return Measured(start, unknowns, exact.corners, points, feet, 0.01)
+    points, contacts = (
+        StripePoints(whole, whole, none, none, none, none),
+        BeltContacts(first, under, np.zeros(3)),
+    )
+    return Measured(start, unknowns, exact.corners, points, contacts, 0.01)
 
 
 def plates_on(geometry: Geometry, plate: SpherePlate, width: float, places, rng) -> CalibrationSet:

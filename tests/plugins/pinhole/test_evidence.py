@@ -23,7 +23,7 @@ MARK_PX, STRIPE_PX = 0.08, 0.15
 
 def measured(seen) -> Measured:
     free = unknowns_of(seen.geometry, free_camera=np.arange(CAMERA) < 9, planes=True, belt=True, travel=False)
-    return Measured(seen.geometry, free, seen.corners, seen.points, seen.feet, 0.03)
+    return Measured(seen.geometry, free, seen.corners, seen.points, seen.contacts, 0.03)
 
 
 def test_held_out_views_fit_as_their_noise_lets_them(rng) -> None:

@@ -13,16 +13,16 @@ from roemetry.records import Board
 from roemetry_pinhole.boards import BoardView, Marks, Seen
 from roemetry_pinhole.bundle import Measured
 from roemetry_pinhole.geometry import CAMERA, unknowns_of
-from roemetry_pinhole.initial_intrinsics import FirstCamera
-from roemetry_pinhole.joint import Joint
+from roemetry_pinhole.initial_intrinsics import InitialCamera
+from roemetry_pinhole.joint_adjustment import JointAdjustment
 from roemetry_pinhole.verdict import judged
 
 RIG = SimulatedRig(1600.0, 350.0, tilt_deg=(6.0, -4.0), lens=(-0.2, 0.1, 0.0, 0.0, 0.0), stripes=5, poses=10)
 
 
-def joint_of(seen: Shown, stray_share: float = 0.0) -> Joint:
+def joint_of(seen: Shown, outlier_share: float = 0.0) -> JointAdjustment:
     free = unknowns_of(seen.geometry, free_camera=np.arange(CAMERA) < 9, planes=True, belt=True, travel=False)
-    measured = Measured(seen.geometry, free, seen.corners, seen.points, seen.feet, 0.03)
+    measured = Measured(seen.geometry, free, seen.corners, seen.points, seen.contacts, 0.03)
     board = Board(
         "b", "chessboard", 11, 8, pitch_mm=seen.corners.board_mm[1, 0] - seen.corners.board_mm[0, 0]
     )
@@ -31,11 +31,11 @@ def joint_of(seen: Shown, stray_share: float = 0.0) -> Joint:
         mine = seen.corners.pose == pose
         marks = Marks(seen.corners.board_mm[mine], seen.corners.xy_px[mine], "", 2.0, 40.0)
         views.append(BoardView(f"pose {pose}", marks, None, None, on_belt=False, count=np.nan, board=board))
-    first = FirstCamera(seen.geometry.camera, views, seen.geometry.rotation, seen.geometry.shift)
+    first = InitialCamera(seen.geometry.camera, views, seen.geometry.rotation, seen.geometry.shift)
     pose = np.arange(len(views))
     adjusted = measured.adjusted()
-    return Joint(
-        board, RIG.image_size, Seen(), first, pose, 0.0, stray_share, None, measured, adjusted, moves=False
+    return JointAdjustment(
+        board, RIG.image_size, Seen(), first, pose, 0.0, outlier_share, None, measured, adjusted, moves=False
     )
 
 
@@ -110,8 +110,8 @@ def test_what_is_not_one_rigid_rig_is_refused(rng) -> None:
 
 def test_peaks_left_out_beforehand_count_as_left_out(rng) -> None:
     seen = few_errors(rng)
-    assert judged(joint_of(seen, stray_share=0.2)).residuals["stripes_left_out"] == pytest.approx(
+    assert judged(joint_of(seen, outlier_share=0.2)).residuals["stripes_left_out"] == pytest.approx(
         0.2, abs=0.02
     )
     with pytest.raises(CalibrationError, match="40% of the stripe peaks do not fit"):
-        judged(joint_of(seen, stray_share=0.4))
+        judged(joint_of(seen, outlier_share=0.4))

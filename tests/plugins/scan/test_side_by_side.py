@@ -17,7 +17,7 @@ from roemetry_scan.commands import register_heads, side_by_side
 from roemetry_scan.formats import write
 from roemetry_scan.formats.points import measured_of
 from roemetry_scan.placing import BeltMotion
-from roemetry_scan.side_by_side import Joined, joined, looked_at, registered_beside, volume_of
+from roemetry_scan.side_by_side import Joined, joined, register_side_by_side, volume_of, whole_ball_extent
 
 PLATE = SpherePlate("plate", 3, 2, 18.0, 12.0, 20.0, 0.005)
 APART_MM = 28.0
@@ -52,8 +52,8 @@ def plates() -> list[Profiles]:
 
 
 def registration_of(plates: list[Profiles], apart_mm: float | None = None) -> Registration:
-    looked = looked_at(plates[0], 6.0), looked_at(plates[1], 6.0)
-    found = registered_beside(
+    looked = whole_ball_extent(plates[0], 6.0), whole_ball_extent(plates[1], 6.0)
+    found = register_side_by_side(
         ball_centres(plates[0], PLATE), ball_centres(plates[1], PLATE), looked, apart_mm
     )
     return found._replace(first_counts=first_counts(*plates))
@@ -107,21 +107,21 @@ WIDE = np.array([[-100.0, -100.0], [200.0, 200.0]])
 def test_balls_that_tell_no_one_motion_are_refused() -> None:
     """Too few, in a line, of another plate, or a part of a grid that fits in two ways."""
     beside = GRID - [0.0, 28.0, 0.0]
-    whole = registered_beside(GRID, beside, (WIDE, WIDE))
+    whole = register_side_by_side(GRID, beside, (WIDE, WIDE))
     assert whole.balls == 8
     np.testing.assert_allclose(whole.T_top_bottom[:3, 3], [0.0, 28.0, 0.0], atol=1e-9)
     with pytest.raises(CalibrationError, match="three that both see"):
-        registered_beside(GRID[:2], beside, (WIDE, WIDE))
+        register_side_by_side(GRID[:2], beside, (WIDE, WIDE))
     with pytest.raises(CalibrationError, match="one line"):
-        registered_beside(GRID[::2], beside[::2], (WIDE, WIDE))
+        register_side_by_side(GRID[::2], beside[::2], (WIDE, WIDE))
     with pytest.raises(CalibrationError, match="do not share"):
-        registered_beside(GRID, 1.2 * beside, (WIDE, WIDE))
+        register_side_by_side(GRID, 1.2 * beside, (WIDE, WIDE))
     rows = np.array([[18.0 * i, 18.0 * j, 20.0] for i in range(2) for j in range(5)])
     left, right = rows[rows[:, 1] > 20.0], rows[rows[:, 1] < 60.0] - [0.0, 28.0, 0.0]
     ends = np.array([[-100.0, 20.0], [200.0, 200.0]]), np.array([[-100.0, -200.0], [200.0, 32.0]])
     with pytest.raises(CalibrationError, match="fit in"):
-        registered_beside(left, right, ends)
-    assert registered_beside(left, right, ends, 28.0).T_top_bottom[1, 3] == pytest.approx(28.0)
+        register_side_by_side(left, right, ends)
+    assert register_side_by_side(left, right, ends, 28.0).T_top_bottom[1, 3] == pytest.approx(28.0)
 
 
 def test_the_commands_join_files_of_two_heads(tmp_path: Path, plates: list[Profiles]) -> None:

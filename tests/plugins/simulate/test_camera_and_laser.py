@@ -25,10 +25,12 @@ def test_x_goes_right_and_y_goes_up_in_the_image():
 
 
 def test_planes_pass_through_the_projector_and_their_feet():
-    feet = [-9.0, 0.0, 8.5]
-    fan = fan_through((160.0, -4.0, 300.0), feet, yaw_deg=0.6, pitch_deg=0.3, sigma_mm=0.3, peak_grey=200.0)
+    lines_x = [-9.0, 0.0, 8.5]
+    fan = fan_through(
+        (160.0, -4.0, 300.0), lines_x, yaw_deg=0.6, pitch_deg=0.3, sigma_mm=0.3, peak_grey=200.0
+    )
     np.testing.assert_allclose(fan.distance_mm((160.0, -4.0, 300.0)), 0.0, atol=1e-9)
-    np.testing.assert_allclose(fan.x_mm(0.0, 0.0), feet, atol=1e-9)
+    np.testing.assert_allclose(fan.x_mm(0.0, 0.0), lines_x, atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(fan.normals, axis=1), 1.0)
     np.testing.assert_allclose(fan.normals @ fan.line_axis, 0.0, atol=1e-12)
     # a small yaw turns the lines counter-clockwise: upper ends lean to the left

@@ -6,8 +6,9 @@ import pytest
 from roemetry_simulate.optics import blurred, fan_through, looking_down
 from roemetry_simulate.ray_caster import stripe_centres
 from roemetry_simulate.render import Rig, Sensor, expose, laser_light, plain_light, render
-from roemetry_simulate.solid import Block, EmptyBelt, on_grid
+from roemetry_simulate.solid import Block, EmptyBelt
 from roemetry_simulate.surface import even, textured
+from tests.plugins.simulate.gridded import on_grid
 
 PROJECTOR = np.array([160.0, 0.0, 300.0])
 

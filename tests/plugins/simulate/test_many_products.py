@@ -10,7 +10,8 @@ from roemetry_simulate.population import Group, moved
 from roemetry_simulate.products.artefacts import SphereOptions, sphere
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.ray_caster import stripe_centres
-from roemetry_simulate.solid import Block, on_grid
+from roemetry_simulate.solid import Block
+from tests.plugins.simulate.gridded import on_grid
 
 CAMERA = looking_down(160, 120, pixel_size_mm=0.04, focal_length_mm=16.0, distance_mm=320.0)
 LASER = fan_through((160.0, 0.0, 300.0), np.arange(-40.0, 41.0, 8.0), sigma_mm=0.3, peak_grey=300.0)

@@ -320,5 +320,5 @@ def test_other_light_than_lines_is_planned_as_the_lines_of_the_middle_row() -> N
     lines, _ = as_lines(Scene.load("recipes/potato_circles/simulated.yaml").simulator.options)
     angle = np.arctan(8.0 * (np.arange(-11, 11) + 0.5) / np.hypot(109.0, 470.0))
     true_mm = 105.0 - 470.0 * np.tan(np.arctan(109.0 / 470.0) - angle)
-    assert np.abs(np.array(lines.laser.feet_mm) - true_mm).max() < 0.2  # Y of row and axis differ by 1 mm
+    assert np.abs(np.array(lines.laser.lines_x_mm) - true_mm).max() < 0.2  # Y of row and axis differ by 1 mm
     assert as_lines(lines) == (lines, ())

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from roemetry_simulate.solid import Block, GriddedSolid, on_grid
+from roemetry_simulate.solid import Block, GriddedSolid
+from tests.plugins.simulate.gridded import on_grid
 
 A, B, C = 17.0, 11.0, 7.0
 

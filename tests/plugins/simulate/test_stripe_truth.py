@@ -9,7 +9,8 @@ from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Pose
 from roemetry_simulate.products.mesh import close, lay
 from roemetry_simulate.ray_caster import stripe_centres
-from roemetry_simulate.solid import Block, EmptyBelt, on_grid
+from roemetry_simulate.solid import Block, EmptyBelt
+from tests.plugins.simulate.gridded import on_grid
 
 CAMERA = looking_down(
     200, 40, pixel_size_mm=0.01, focal_length_mm=16.0, distance_mm=320.0, tilt_x_deg=1.0, tilt_y_deg=-0.4

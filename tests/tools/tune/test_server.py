@@ -17,7 +17,8 @@ import pytest
 
 from roemetry.errors import ConfigurationError
 from roemetry_tools.tune import server
-from roemetry_tools.tune.session import Session, unpacked
+from roemetry_tools.tune.session import Session
+from tests.tools.tune.unpacking import unpacked
 
 starlette = pytest.importorskip("starlette.testclient", reason="httpx is not installed")
 

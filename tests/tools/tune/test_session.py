@@ -23,7 +23,8 @@ from roemetry_paper.density import Density
 from roemetry_paper.dominant_peak import DominantPeak
 from roemetry_paper.window_tracking import WindowTracking
 from roemetry_tools.tune.request import KINDS, StageRequest, TuneRequest, fields_of
-from roemetry_tools.tune.session import Session, packed, picture_of, unpacked
+from roemetry_tools.tune.session import Session, packed, picture_of
+from tests.tools.tune.unpacking import unpacked
 
 
 def peaks(threshold: object = 60, **options: str) -> StageRequest:

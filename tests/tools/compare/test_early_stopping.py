@@ -14,12 +14,12 @@ from roemetry.run.cluster import Cluster
 from roemetry.run.executors import Lost
 from roemetry.run.workers import Processes
 from roemetry.stages.registry import discover
-from roemetry_tools.compare import racing
+from roemetry_tools.compare import early_stopping
 from roemetry_tools.compare.agreement import PairedValue, Terms
 from roemetry_tools.compare.comparison import compare
 from roemetry_tools.compare.data import Data
-from roemetry_tools.compare.kept import KEPT, KeptScores
-from roemetry_tools.compare.racing import DOUBT, ERROR_MAX_PCT, beaten, capital, looks
+from roemetry_tools.compare.early_stopping import DOUBT, ERROR_MAX_PCT, beaten, capital, looks
+from roemetry_tools.compare.stored_scores import KEPT, StoredScores
 from roemetry_tools.compare.tables import flat
 from roemetry_tools.compare.variants import make_variants
 from roemetry_tools.compare.write import ItemsFile
@@ -67,8 +67,8 @@ def test_a_specimen_that_comes_again_is_one_witness() -> None:
 
 
 def test_what_is_stopped_is_the_same_by_any_executor(dataset, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(racing, "SPECIMENS_MIN", 4)
-    monkeypatch.setattr(racing, "DOUBT", 0.99)
+    monkeypatch.setattr(early_stopping, "SPECIMENS_MIN", 4)
+    monkeypatch.setattr(early_stopping, "DOUBT", 0.99)
     variants = make_variants(
         dataset(12), ["stages.weigher.options.density_g_per_cm3=1.54,9"], registry=discover()
     )
@@ -106,8 +106,8 @@ def test_an_acquisition_of_which_workers_die_is_refused_for_every_variant(datase
 
 
 def test_the_verb_says_what_was_stopped(dataset, tmp_path, monkeypatch, roemetry, capsys) -> None:
-    monkeypatch.setattr(racing, "SPECIMENS_MIN", 4)
-    monkeypatch.setattr(racing, "DOUBT", 0.99)
+    monkeypatch.setattr(early_stopping, "SPECIMENS_MIN", 4)
+    monkeypatch.setattr(early_stopping, "DOUBT", 0.99)
     vary = "stages.weigher.options.density_g_per_cm3=1.54"
     assert roemetry(dataset(8), "--vary", vary, "--stop-early", "--out", tmp_path / "out") == 0
     printed = capsys.readouterr().out
@@ -117,8 +117,8 @@ def test_the_verb_says_what_was_stopped(dataset, tmp_path, monkeypatch, roemetry
 
 
 def test_a_comparison_that_was_stopped_goes_on_where_it_was(dataset, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(racing, "SPECIMENS_MIN", 2)
-    monkeypatch.setattr(racing, "DOUBT", 0.99)
+    monkeypatch.setattr(early_stopping, "SPECIMENS_MIN", 2)
+    monkeypatch.setattr(early_stopping, "DOUBT", 0.99)
     density = "stages.weigher.options.density_g_per_cm3"
     path = dataset(9)
     variants = make_variants(path, [f"{density}=1.54,9"], registry=discover())
@@ -140,7 +140,7 @@ def test_a_comparison_that_was_stopped_goes_on_where_it_was(dataset, tmp_path, m
     def compared(name: str, executor: Stops, resume: bool = False):
         with (
             ItemsFile(tmp_path / name, resume=resume) as file,
-            KeptScores(tmp_path / name, variants, data, terms, resume=resume) as kept,
+            StoredScores(tmp_path / name, variants, data, terms, resume=resume) as kept,
         ):
             found = compare(variants, data, terms=terms, executor=executor, kept=kept, on_scored=file.add)
         return [(one.stopped, one.figures.errors) for one in found]
@@ -158,4 +158,4 @@ def test_a_comparison_that_was_stopped_goes_on_where_it_was(dataset, tmp_path, m
     items = [(tmp_path / name / "items.jsonl").read_text("utf-8") for name in ("whole", "stopped")]
     assert items[0] == items[1]
     with pytest.raises(OutputError, match="of other variants, data or terms"):
-        KeptScores(tmp_path / "whole", variants[:2], data, terms, resume=True)
+        StoredScores(tmp_path / "whole", variants[:2], data, terms, resume=True)

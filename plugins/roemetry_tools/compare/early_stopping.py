@@ -76,7 +76,11 @@ def beaten(values: Mapping[int, Values], opponents: int, acquisitions: int) -> d
     threshold = math.log(opponents / DOUBT) if opponents else math.inf
     for figure in QUANTITIES:
         known = {number: _errors(values[number][figure]) for number in values}
-        means = {number: _mean(of) for number, of in known.items() if of}
+        means = {
+            number: math.fsum(error for error, _ in of.values()) / len(of)
+            for number, of in known.items()
+            if of
+        }
         if len(means) < 2 or max(means.values()) - min(means.values()) < 1e-9:
             continue
         best = min(sorted(means), key=means.__getitem__)
@@ -101,10 +105,6 @@ def _errors(values: Mapping[str, PairedValue]) -> Errors:
         for name, one in values.items()
         if one.true > 0
     }
-
-
-def _mean(errors: Errors) -> float:
-    return math.fsum(error for error, _ in errors.values()) / len(errors)
 
 
 def _differences(errors: Errors, others: Errors) -> tuple[Floats, float]:

@@ -10,10 +10,10 @@ import pytest
 from benchmarks.simulated_points import Shown, SimulatedRig, noisy, shown
 from roemetry_pinhole.bundle import Measured
 from roemetry_pinhole.geometry import (
-    BENDS,
     CAMERA,
     ON_BELT,
-    Bend,
+    WARP_COEFFICIENTS,
+    BoardWarp,
     Geometry,
     corner_residuals,
     corner_rows,
@@ -32,11 +32,11 @@ FREE = np.arange(CAMERA) < 9
 def bowed(exact: Shown, bow_mm: float) -> Shown:
     """What a board shows that is bent like a roof tile, with a twist; marks projected by hand."""
     extent = exact.corners.board_mm[:, :2].max(axis=0)
-    bend = Bend.none(*extent)
-    coefficients = np.zeros(BENDS)
+    warp = BoardWarp.none(*extent)
+    coefficients = np.zeros(WARP_COEFFICIENTS)
     coefficients[[0, 1, 5]] = bow_mm, -0.4 * bow_mm, 0.2 * bow_mm  # x², xy, and xy² of the third order
-    bend = bend.moved(coefficients)
-    geometry = replace(exact.geometry, bend=bend)
+    warp = warp.moved(coefficients)
+    geometry = replace(exact.geometry, warp=warp)
     x, y = (exact.corners.board_mm[:, :2] - 0.5 * extent).T / (0.5 * extent.max())
     print_mm = exact.corners.board_mm.copy()
     print_mm[:, 2] = bow_mm * (x**2 - 0.4 * x * y + 0.2 * x * y**2)
@@ -49,9 +49,9 @@ def bowed(exact: Shown, bow_mm: float) -> Shown:
     return replace(exact, geometry=geometry, corners=replace(exact.corners, xy_px=xy), points=points)
 
 
-def measured(seen: Shown, start: Geometry, *, bend: bool) -> Measured:
-    free = unknowns_of(start, free_camera=FREE, planes=True, belt=True, travel=False, bend=bend)
-    return Measured(start, free, seen.corners, seen.points, seen.feet, 0.03)
+def measured(seen: Shown, start: Geometry, *, warp: bool) -> Measured:
+    free = unknowns_of(start, free_camera=FREE, planes=True, belt=True, travel=False, warp=warp)
+    return Measured(start, free, seen.corners, seen.points, seen.contacts, 0.03)
 
 
 def test_marks_and_stripes_lie_on_the_bent_print(rng) -> None:
@@ -62,39 +62,39 @@ def test_marks_and_stripes_lie_on_the_bent_print(rng) -> None:
     pose = exact.points.pose[on]
     at = lifted(exact.geometry, exact.points)[on] - exact.geometry.shift[pose]
     board = (at[:, None, :] @ exact.geometry.rotation[pose])[:, 0]
-    off = board[:, 2] - exact.geometry.bend.height_mm(board[:, :2])
+    off = board[:, 2] - exact.geometry.warp.height_mm(board[:, :2])
     assert np.abs(off).max() < 1e-6, "mm"
     assert np.ptp(board[:, 2]) > 0.3, "mm"
 
 
 def test_derivatives_are_those_of_the_equations(rng) -> None:
     exact = bowed(shown(RIG, rng), 0.8)
-    every = measured(exact, exact.geometry, bend=True).unknowns
+    every = measured(exact, exact.geometry, warp=True).unknowns
     for rows, seen in ((corner_rows, exact.corners), (stripe_rows, exact.points)):
-        assert_derivatives(rows, exact.geometry, every, seen, dict.fromkeys(every.bend, 1e-3), 2e-3)
+        assert_derivatives(rows, exact.geometry, every, seen, dict.fromkeys(every.warp, 1e-3), 2e-3)
 
 
 def test_the_shape_is_found_and_planes_are_right_again(rng) -> None:
     exact = bowed(shown(RIG, rng), 0.5)
     seen = noisy(exact, rng, 0.05, 0.1, 0.03)
-    flat = replace(exact.geometry, bend=None)
-    start = replace(exact.geometry, bend=exact.geometry.bend.moved(-exact.geometry.bend.coefficients_mm))
-    found = measured(seen, start, bend=True).adjusted()
+    flat = replace(exact.geometry, warp=None)
+    start = replace(exact.geometry, warp=exact.geometry.warp.moved(-exact.geometry.warp.coefficients_mm))
+    found = measured(seen, start, warp=True).adjusted()
     assert found.corner_std_px == pytest.approx(0.05, rel=0.15)
     off = found.geometry.planes - exact.geometry.planes
     at = found.unknowns.planes
     covariance = found.covariance[at[:, :, None], at[:, None, :]]
     square = np.einsum("si,sij,sj->s", off, np.linalg.inv(covariance), off).mean() / 3.0
     assert square < 2.5
-    assert found.geometry.bend.range_mm() == pytest.approx(exact.geometry.bend.range_mm(), abs=0.03), "mm"
-    taken_for_flat = measured(seen, flat, bend=False).adjusted()
+    assert found.geometry.warp.range_mm() == pytest.approx(exact.geometry.warp.range_mm(), abs=0.03), "mm"
+    taken_for_flat = measured(seen, flat, warp=False).adjusted()
     assert taken_for_flat.corner_std_px > 1.5 * found.corner_std_px
 
 
 def test_held_out_views_know_the_shape(rng) -> None:
     exact = bowed(shown(RIG, rng), 0.5)
     seen = noisy(exact, rng, 0.05, 0.1, 0.03)
-    every = measured(seen, exact.geometry, bend=True)
+    every = measured(seen, exact.geometry, warp=True)
     found = every.adjusted().geometry
     held = cross_validate(every, found)
     assert np.sqrt((held.mark_px**2).mean()) == pytest.approx(0.05, rel=0.2), "px"

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roemetry.errors import StageError
-from roemetry_scan.counting import counted
+from roemetry_scan.encoder_places import encoder_places
 
 STEP = 25
 
@@ -18,12 +18,12 @@ def lines(many: int = 40) -> tuple[np.ndarray, np.ndarray]:
 
 
 def codes(count: np.ndarray, number: np.ndarray) -> set[str]:
-    return {reason.code for reason in counted(count, number).reasons}
+    return {reason.code for reason in encoder_places(count, number).reasons}
 
 
 def test_sound_counts_are_kept_as_they_are() -> None:
     count, number = lines()
-    found = counted(count, number)
+    found = encoder_places(count, number)
     assert np.array_equal(found.way, count)
     assert np.array_equal(found.place, number)
     assert found.used.all()
@@ -35,7 +35,7 @@ def test_a_counter_that_overflows_gives_the_same_way(bits: int, at: int, down: b
     count, number = lines(64)
     start = 2.0**bits - STEP * at
     wrapped = (start + (-count if down else count)) % 2.0**bits
-    found = counted(wrapped, number)
+    found = encoder_places(wrapped, number)
     assert np.array_equal(found.way, count)
 
 
@@ -43,7 +43,7 @@ def test_a_counter_that_overflows_gives_the_same_way(bits: int, at: int, down: b
 def test_lost_lines_leave_gaps_of_their_size(at: int, many: int) -> None:
     count, number = lines()
     kept = np.delete(np.arange(40), slice(at, at + many))
-    found = counted(count[kept], number[kept])
+    found = encoder_places(count[kept], number[kept])
     assert found.lost == many
     assert np.array_equal(found.place, kept - kept[0])
     assert codes(count[kept], number[kept]) == {"lines-lost"}
@@ -55,7 +55,7 @@ def test_a_belt_that_turns_back_shows_nothing_twice(at: int, back: int) -> None:
     index = np.concatenate(
         [np.arange(at + 1), np.arange(at - 1, at - back - 1, -1), np.arange(at - back, 40)]
     )
-    found = counted(count[index], np.arange(index.size))
+    found = encoder_places(count[index], np.arange(index.size))
     assert np.array_equal(np.sort(count[index][found.used]), count)
     assert found.reversed + found.repeated == index.size - 40
     assert "belt-reversed" in codes(count[index], np.arange(index.size))
@@ -63,7 +63,7 @@ def test_a_belt_that_turns_back_shows_nothing_twice(at: int, back: int) -> None:
 
 def test_a_belt_that_stands_repeats_a_line() -> None:
     index = np.concatenate([np.arange(10), np.full(5, 9), np.arange(10, 40)])
-    found = counted(STEP * index.astype(float), np.arange(index.size))
+    found = encoder_places(STEP * index.astype(float), np.arange(index.size))
     assert found.repeated == 5
     assert found.used.sum() == 40
 
@@ -82,7 +82,7 @@ def test_frame_numbers_of_16_bits_that_leave_out_0_lose_nothing() -> None:
 def test_lines_without_a_count_are_left_out() -> None:
     count, number = lines()
     count[7] = np.nan
-    found = counted(count, number)
+    found = encoder_places(count, number)
     assert not found.used[7]
     assert {"count-missing", "lines-lost"} == codes(count, number)
 
@@ -98,4 +98,4 @@ def test_lines_without_a_count_are_left_out() -> None:
 )
 def test_counts_that_place_nothing_are_refused(count: np.ndarray, why: str) -> None:
     with pytest.raises(StageError, match=why):
-        counted(count, np.arange(count.size))
+        encoder_places(count, np.arange(count.size))

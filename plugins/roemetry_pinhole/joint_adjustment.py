@@ -19,15 +19,15 @@ from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_pinhole.boards import Seen, board_views
 from roemetry_pinhole.bundle import Adjusted, Measured, with_disagreement
 from roemetry_pinhole.from_solids import OnSolids, from_solids, solids_in
-from roemetry_pinhole.geometry import CAMERA, Bend, Geometry, rays, unknowns_of
+from roemetry_pinhole.geometry import CAMERA, BoardWarp, Geometry, rays, unknowns_of
 from roemetry_pinhole.initial_intrinsics import (
-    FirstCamera,
+    InitialCamera,
     belt_under,
-    by_marks,
+    boards_alone,
+    contacts_of,
     corners_of,
-    feet_of,
-    first_camera,
     free_numbers,
+    initial_camera,
     reasons,
 )
 from roemetry_pinhole.known_files import read_camera
@@ -81,7 +81,9 @@ def with_known_planes(observed: CalibrationSet, camera: Floats | None, planes: F
     return measured
 
 
-def of_planes(measured: Measured, found: Adjusted, angle_std_deg: float, offset_std_mm: float) -> Floats:
+def known_planes_covariance(
+    measured: Measured, found: Adjusted, angle_std_deg: float, offset_std_mm: float
+) -> Floats:
     """Give the covariance, of planes and belt, that the known planes' own uncertainty makes.
 
     Each plane may lean about two axes through the middle of its stripe on the belt, and lie beside that
@@ -111,7 +113,7 @@ def of_planes(measured: Measured, found: Adjusted, angle_std_deg: float, offset_
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Joint:
+class JointAdjustment:
     """The joint adjustment, and what it was made of."""
 
     board: Board | None
@@ -119,14 +121,14 @@ class Joint:
     size: tuple[int, int]
     """Rows and columns of the images."""
     seen: Seen
-    first: FirstCamera
+    first: InitialCamera
     """seen, first: poses, and by image why others are not used; the views that are."""
     pose: Integers
     """(view,) number of the view's pose in the adjustment."""
     print_share: float
-    stray_share: float
-    """print_share, stray_share: share of the boards' stripe peaks on uneven print, which are not used, and of
-    the others that is left out before the adjustment, far off its stripe."""
+    outlier_share: float
+    """print_share, outlier_share: share of the boards' stripe peaks on uneven print, which are not used, and
+    share of the others that is left out before the adjustment, far off its stripe."""
     solids: OnSolids | None
     """What solids on the belt gave, where the planes come from them; else None."""
     measured: Measured
@@ -138,17 +140,17 @@ class Joint:
     """Names of the images of the empty belt."""
 
 
-def joint(
+def adjust_jointly(
     observed: CalibrationSet,
     seen: Seen,
     *,
     lens: str,
     camera_file: Path | None,
     print_contrast_max: float,
-    bent: bool = False,
+    fit_warp: bool = False,
     planes: Floats | None = None,
     reference_pose: str | None = None,
-) -> Joint:
+) -> JointAdjustment:
     """Find everything in the images and adjust it together.
 
     `seen` is filled with the poses, and by image why others are not used, also where this then fails;
@@ -161,10 +163,10 @@ def joint(
     if planes is not None:
         measured = with_known_planes(observed, known, planes)
         start = measured.start
-        first = FirstCamera(start.camera, [], start.rotation, start.shift)
+        first = InitialCamera(start.camera, [], start.rotation, start.shift)
         none = np.empty(0, np.int64)
         size = observed.observations[0].frame.size
-        return Joint(
+        return JointAdjustment(
             None, size, Seen(), first, none, 0.0, 0.0, None, measured, measured.adjusted(), moves=False
         )
     if board is None and not (by_solids and known is not None):
@@ -182,7 +184,7 @@ def joint(
     size = observed.observations[0].frame.size
     free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(lens)
     while True:
-        first = first_camera(seen, size, lens, known, tried, **({"least_if_known": 0} if by_solids else {}))
+        first = initial_camera(seen, size, lens, known, tried, **({"least_if_known": 0} if by_solids else {}))
         if reference_pose is not None and not any(view.on_belt for view in first.views):
             raise CalibrationError(
                 f"the pose {reference_pose!r}, which is to be the reference, is not used"
@@ -190,7 +192,7 @@ def joint(
                 hint="look at its images, or name another pose in reference_pose",
             )
         if board is None or by_solids:
-            return _by_solids(observed, board, seen, first, free, bent=bent)
+            return _by_solids(observed, board, seen, first, free, fit_warp=fit_warp)
         pose, counts = _placed(first)
         gathered = gather(
             first,
@@ -200,22 +202,22 @@ def joint(
             seen.left_out,
             print_contrast_max=print_contrast_max,
         )
-        if not gathered.strange:
+        if not gathered.outlying_views:
             break
-        strange = {first.views[number].name for number in gathered.strange}
-        seen.views = [view for view in seen.views if view.name not in strange]
-    measured = _measured(first, gathered, pose, counts, free, bent=bent)
+        outlying = {first.views[number].name for number in gathered.outlying_views}
+        seen.views = [view for view in seen.views if view.name not in outlying]
+    measured = _measured(first, gathered, pose, counts, free, fit_warp=fit_warp)
     adjusted = with_disagreement(measured, measured.adjusted())
-    if not bent and known is None:
+    if not fit_warp and known is None:
         seen.notes += stretched(measured, adjusted, first.views)
-    return Joint(
+    return JointAdjustment(
         board,
         size,
         seen,
         first,
         np.unique(pose, return_inverse=True)[1],
         gathered.print_share,
-        gathered.stray_share,
+        gathered.outlier_share,
         None,
         measured,
         adjusted,
@@ -246,9 +248,9 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
     seen = Seen()
     board_views(observed, seen)
     size = observed.observations[0].frame.size
-    first = first_camera(seen, size, lens, None, poses_tried(observed))
+    first = initial_camera(seen, size, lens, None, poses_tried(observed))
     free, count = free_numbers(lens), len(first.views)
-    found = by_marks(first, free).adjusted()
+    found = boards_alone(first, free).adjusted()
     at = found.unknowns.camera
     std = np.where(at >= 0, np.sqrt(np.diag(found.covariance)[np.maximum(at, 0)]), 0.0)
     if count >= 2 * _PARTS:
@@ -257,8 +259,8 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
         for left_out in range(_PARTS):
             kept = part != left_out
             views = [view for view, stays in zip(first.views, kept, strict=True) if stays]
-            some = FirstCamera(first.camera, views, first.rotation[kept], first.shift[kept])
-            cameras.append(by_marks(some, free).adjusted().geometry.camera)
+            some = InitialCamera(first.camera, views, first.rotation[kept], first.shift[kept])
+            cameras.append(boards_alone(some, free).adjusted().geometry.camera)
         std = np.maximum(std, np.std(cameras, axis=0) * np.sqrt(_PARTS - 1.0))
     off_px = found.corner_px[found.corner_used]
     return CameraFit(
@@ -306,17 +308,23 @@ def planes_by_solids(observed: CalibrationSet) -> bool:
 
 
 def _by_solids(
-    observed: CalibrationSet, board: Board | None, seen: Seen, first: FirstCamera, free: Flags, *, bent: bool
-) -> Joint:
+    observed: CalibrationSet,
+    board: Board | None,
+    seen: Seen,
+    first: InitialCamera,
+    free: Flags,
+    *,
+    fit_warp: bool,
+) -> JointAdjustment:
     """Planes from solids on the belt; boards, if there are any, tell the camera, and where the belt is."""
-    boards = by_marks(first, free, feet=board is not None, bent=board if bent else None)
-    belt = boards.start.belt if boards.feet.pose.size else None
+    boards = boards_alone(first, free, contacts=board is not None, warped=board if fit_warp else None)
+    belt = boards.start.belt if boards.contacts.pose.size else None
     plate = observed.sphere_plate
     if solids_in(observed) or plate is None:
         found = from_solids(observed, boards, free, belt)
     else:
         found = from_plate(observed, plate, boards, free, belt)
-    return Joint(
+    return JointAdjustment(
         board if first.views else None,
         observed.observations[0].frame.size,
         seen,
@@ -335,7 +343,7 @@ _BOARDS = ("board", "board_on_belt")
 
 
 def _measured(
-    first: FirstCamera, gathered: Gathered, pose: Integers, counts: Floats, free: Flags, *, bent: bool
+    first: InitialCamera, gathered: Gathered, pose: Integers, counts: Floats, free: Flags, *, fit_warp: bool
 ) -> Measured:
     keep = np.unique(pose)
     number = np.searchsorted(keep, pose)
@@ -345,7 +353,7 @@ def _measured(
     sizes = np.zeros((boards.max() + 1 if boards.any() else 0, 2))
     looked_for = np.zeros(sizes.shape, np.bool_)
     if boards.any():
-        if bent:
+        if fit_warp:
             raise CalibrationError(
                 "the shape of the print cannot be fitted with several boards",
                 hint="leave `flatness: free` out, or name one board",
@@ -360,19 +368,19 @@ def _measured(
         first.shift[keep],
         gathered.planes,
         _belt(first, gathered),
-        bend=Bend.none(*first.views[0].board.size_mm.tolist()) if bent else None,
+        warp=BoardWarp.none(*first.views[0].board.size_mm.tolist()) if fit_warp else None,
         prints=sizes,
     )
     moves = bool(np.ptp(counts) > 0)
     unknowns = unknowns_of(
-        start, free_camera=free, planes=True, belt=True, travel=moves, bend=bent, prints=looked_for
+        start, free_camera=free, planes=True, belt=True, travel=moves, warp=fit_warp, prints=looked_for
     )
     points = replace(gathered.points, pose=np.where(on < 0, on, number[on]))
-    feet, foot_std_mm = feet_of(first.views, number, counts)
-    return Measured(start, unknowns, corners_of(first, number, counts), points, feet, foot_std_mm)
+    contacts, contact_std_mm = contacts_of(first.views, number, counts)
+    return Measured(start, unknowns, corners_of(first, number, counts), points, contacts, contact_std_mm)
 
 
-def _belt(first: FirstCamera, gathered: Gathered) -> Floats:
+def _belt(first: InitialCamera, gathered: Gathered) -> Floats:
     """Give the belt (3,) b·X = 1 to start with: under the first board on it, or from its own stripes."""
     for number, view in enumerate(first.views):
         if view.on_belt:
@@ -391,7 +399,7 @@ def _belt(first: FirstCamera, gathered: Gathered) -> Floats:
     return gathered.belt
 
 
-def _placed(first: FirstCamera) -> tuple[Integers, Floats]:
+def _placed(first: InitialCamera) -> tuple[Integers, Floats]:
     """Give each view the pose it belongs to and the encoder counts it was carried on since.
 
     Boards that lie on the belt with known encoder counts were laid there once and are carried along.

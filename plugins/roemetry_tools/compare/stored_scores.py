@@ -1,6 +1,6 @@
 """What was scored, kept until a comparison is finished: one that was stopped goes on where it was.
 
-Kept is JSON, compressed line by line: a folder may come from a stranger, and reading it runs no code of his.
+Stored is JSON, compressed line by line: a folder may come from somebody else, and reading it runs no code.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Found = tuple[bool, list[Scored]]
 """Whether its times hold what is done once, and what each variant made of an acquisition."""
 
 
-class KeptLines:
+class StoredLines:
     """A file that keeps what was done, line by line, until all is done; the first line says of what.
 
     OutputError, with the `other` that it is of, where its first line is not `of`.
@@ -79,7 +79,7 @@ class KeptLines:
         self._file.__exit__(*error)
 
 
-class KeptScores(KeptLines):
+class StoredScores(StoredLines):
     """A line in the comparison's folder for each acquisition, in order.
 
     OutputError where it is to be gone on with and is of another comparison.

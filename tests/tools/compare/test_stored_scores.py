@@ -17,8 +17,8 @@ from roemetry.records import Estimate, Grade, Measurement, ProductTruth, Reason,
 from roemetry.stages.registry import discover
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.data import Data
-from roemetry_tools.compare.kept import KEPT, KeptScores, _plain
 from roemetry_tools.compare.score import Pair, Scored
+from roemetry_tools.compare.stored_scores import KEPT, StoredScores, _plain
 from roemetry_tools.compare.stripes import CentreScore, CodingScore
 from roemetry_tools.compare.variants import make_variants
 from tests.tools.compare.conftest import dataset
@@ -69,7 +69,7 @@ def scored() -> Scored:
 def kept(dataset, tmp_path):
     variants = make_variants(dataset(2), [], registry=discover())
     data = Data(variants[0].recipe)
-    return lambda: KeptScores(tmp_path, variants, data, Terms(), resume=True)
+    return lambda: StoredScores(tmp_path, variants, data, Terms(), resume=True)
 
 
 def test_what_was_kept_comes_back_to_the_last_digit(kept) -> None:

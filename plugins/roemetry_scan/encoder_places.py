@@ -25,7 +25,7 @@ _FRAMES_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Counted:
+class EncoderPlaces:
     """Where the lines of a scan were taken."""
 
     way: Floats
@@ -46,7 +46,7 @@ class Counted:
     reasons: tuple[Reason, ...]
 
 
-def counted(count: Floats, number: Integers) -> Counted:
+def encoder_places(count: Floats, number: Integers) -> EncoderPlaces:
     """Read the counts of a scan's lines.
 
     Raises
@@ -104,7 +104,7 @@ def counted(count: Floats, number: Integers) -> Counted:
     if frame_wraps:  # cameras that count frames in 16 bits leave out 0
         frames = np.where((np.diff(number) < 0) & (number[1:] > 0), frames - 1.0, frames)
     dropped = int(np.maximum(frames - 1.0, 0.0).sum())
-    return Counted(
+    return EncoderPlaces(
         way, float(unwrapped[0]), direction, place, used, lost, repeated, turned, wraps,
         _said(count.size, known.size, lost, repeated, turned, wraps, dropped, float(missed.max(initial=0))),
     )  # fmt: skip
