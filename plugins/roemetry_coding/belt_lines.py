@@ -76,6 +76,10 @@ image; those of a product do not."""
 _STRIPE_REFUSED_PX = 1.0
 """A light plane that has moved by more makes heights wrong by more than any interval says: no number then."""
 
+_STEP_PX, _STEP_SIDE, _STEP_STRIPES_MIN = 0.5, 2, 6
+"""Half of what one lost column shifts all stripes beyond by. Of so many on each side none is a plane that
+moved alone; and of fewer in all, a slope and a step explain anything."""
+
 
 class BeltLines(Aligner[AlignerOptions]):
     """Fits a small motion of the camera to the belt's stripes."""
@@ -222,6 +226,7 @@ def _stripes_that_moved(stripe_px: Floats, sigma_px: float, light: Light) -> tup
     moved_px = np.where(np.abs(stripe_px) > limit, stripe_px, 0.0)  # NaN has not
     if not moved_px.any():
         return moved_px, []
+    _refuse_step(stripe_px, limit, light)
     far = np.flatnonzero(moved_px)
     which = ", ".join(f"{s + 1} ({stripe_px[s]:+.2f} px)" for s in far)
     if np.abs(moved_px).max() > max(_STRIPE_REFUSED_PX, limit):
@@ -231,6 +236,26 @@ def _stripes_that_moved(stripe_px: Floats, sigma_px: float, light: Light) -> tup
         )
     text = f"{light.what} have moved against the others on the belt: {which}; corrected, with its uncertainty"
     return moved_px, [Reason("stripe-moved", f"{text}; calibrate again")]
+
+
+def _refuse_step(stripe_px: Floats, limit_px: float, light: Light) -> None:
+    """Refuse a frame where a step and a slope, which fits absorb in part, explain which stripes moved.
+
+    Planes of one projector do not move so.
+    """
+    known = np.flatnonzero(np.isfinite(stripe_px))
+    if known.size < _STEP_STRIPES_MIN:
+        return
+    for first in known[_STEP_SIDE : 1 - _STEP_SIDE]:
+        design = np.column_stack([np.ones(known.size), known, known >= first])
+        found = np.linalg.lstsq(design, stripe_px[known])[0]
+        left_px = np.abs(stripe_px[known] - design @ found).max()
+        if abs(found[2]) > _STEP_PX and left_px <= limit_px:
+            raise StageError(
+                f"{light.what} from number {first + 1} on lie {found[2]:+.1f} px aside of those before, on "
+                "the belt: columns of the image were lost or repeated there",
+                hint="look at the image; take it again, and look at cable and frame grabber",
+            )
 
 
 @float_kernel

@@ -55,6 +55,19 @@ def test_a_plane_that_moved_alone_is_named(rng: np.random.Generator) -> None:
     assert found.moved and 0.09 <= found.planes_std_px < 0.2
 
 
+@pytest.mark.parametrize("columns", [1, 2, -1])
+def test_lines_that_lie_aside_from_some_place_on_are_lost_columns(
+    columns: int, rng: np.random.Generator
+) -> None:
+    """Taken for planes that had moved, one lost column gave a skein half of its volume."""
+    rig = LinearRig()
+    for first in range(2, rig.stripes - 1):
+        x_px = rig.rest_px() + rng.normal(0.0, 0.1, (rig.stripes, rig.rows))
+        x_px[first:] -= columns
+        with pytest.raises(StageError, match="columns of the image were lost|have moved"):
+            BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
+
+
 @pytest.mark.parametrize("stages", ["with_outline.yaml", "by_words.yaml"])
 def test_a_plane_that_moved_alone_is_corrected_and_its_covariance_grows(stages: str) -> None:
     recipe = roemetry.Recipe.load(HOME / stages)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from roemetry.errors import StageError
 from roemetry.records import Peaks
 from roemetry.testing.scenes import LinearRig, wrong_labels
 from roemetry_coding.planes import Planes, PlanesOptions, epipolar_lines, margin_of
+from roemetry_coding.planes.decide import _never_followed
 from roemetry_coding.planes.solve import build_problem
 from roemetry_kernels.rest_lines import calibrated_rest_lines
 from roemetry_simulate.solid import Block
@@ -137,3 +139,13 @@ def test_a_stripe_whose_faint_belt_is_found_in_every_other_row_is_there(dense) -
     gone = _only(peaks, rest.line != last)
     problem = build_problem(gone, dense.calibration, calibrated_rest_lines(gone, dense.calibration), 2.0)
     assert problem.there[last] == 0.0
+
+
+def test_a_stripe_of_short_pieces_alone_is_made_of_specks() -> None:
+    """Pieces of three and two peaks; and of eight and two, of which the first vouches for the other."""
+    trace = np.repeat([0, 1, 2, 3], [3, 2, 8, 2])
+    stripe = np.repeat([0, 1], [5, 10])
+    problem = SimpleNamespace(pieces=SimpleNamespace(trace=trace), there=np.ones(3))
+    specks = _never_followed(problem, stripe, np.ones(15, np.int64))
+    np.testing.assert_array_equal(specks, stripe == 0)
+    assert not _never_followed(problem, stripe, np.zeros(15, np.int64)).any(), "belt is judged elsewhere"
