@@ -244,13 +244,14 @@ def _refuse_step(stripe_px: Floats, limit_px: float, light: Light) -> None:
     Planes of one projector do not move so.
     """
     known = np.flatnonzero(np.isfinite(stripe_px))
-    if known.size < _STEP_STRIPES_MIN:
-        return
+    if known.size < _STEP_STRIPES_MIN or np.count_nonzero(np.abs(stripe_px[known]) > limit_px) < _STEP_SIDE:
+        return  # a plane that moved alone, which a slope and a step among few stripes would explain
+    step_px = max(_STEP_PX, limit_px)
     for first in known[_STEP_SIDE : 1 - _STEP_SIDE]:
         design = np.column_stack([np.ones(known.size), known, known >= first])
-        found = np.linalg.lstsq(design, stripe_px[known])[0]
+        found = np.linalg.lstsq(design, stripe_px[known], rcond=None)[0]
         left_px = np.abs(stripe_px[known] - design @ found).max()
-        if abs(found[2]) > _STEP_PX and left_px <= limit_px:
+        if abs(found[2]) > step_px and left_px <= limit_px:
             raise StageError(
                 f"{light.what} from number {first + 1} on lie {found[2]:+.1f} px aside of those before, on "
                 "the belt: columns of the image were lost or repeated there",

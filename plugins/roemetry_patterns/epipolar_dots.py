@@ -294,6 +294,11 @@ def _confirmed(found: Candidates, sure: Integers, shape: tuple[int, int]) -> Int
     return np.asarray(np.sum(beside, axis=0))
 
 
+def _raised(found: Candidates, sure: Integers, least_mm: float) -> Flags:
+    """Say which labels lie above the belt."""
+    return np.asarray(found.xyz_mm[sure, 2] > np.maximum(least_mm, 4.0 * found.height_std_mm[sure]))
+
+
 def _least(cost: Floats, of: Integers) -> Floats:
     least = np.full(int(of.max(initial=-1)) + 1, np.inf)
     np.minimum.at(least, of, cost)
@@ -328,11 +333,13 @@ def _map(
     sure = sure[np.argsort(-evidence[sure], kind="stable")]
     place = np.column_stack([found.ray[sure] // lines, peaks.row[found.dot[sure]]])
     sure = sure[np.sort(np.unique(place, axis=0, return_index=True)[1])]
+    witnesses = _confirmed(found, sure, (columns, lines))
+    sure = sure[~_raised(found, sure, least_mm) | (witnesses >= _CONFIRMED_MIN)]
     stripe, line = np.divmod(found.ray[sure], lines)
     dot = found.dot[sure]
     row = peaks.row[dot]
     number = _numbered(found, sure, (columns, lines), least_mm)
-    kept = (number == BELT) | (number > BELT) & (_confirmed(found, sure, (columns, lines)) >= _CONFIRMED_MIN)
+    kept = number >= 0
     sure, stripe, line, dot, row, number = (one[kept] for one in (sure, stripe, line, dot, row, number))
 
     def dense(values: Floats, *inner: int) -> Floats:
@@ -371,7 +378,7 @@ def _numbered(found: Candidates, sure: Integers, shape: tuple[int, int], least_m
 
     high = np.zeros(shape, np.bool_)
     at = np.divmod(found.ray[sure], shape[1])
-    raised = found.xyz_mm[sure, 2] > np.maximum(least_mm, 4.0 * found.height_std_mm[sure])
+    raised = _raised(found, sure, least_mm)
     high[at[0][raised], at[1][raised]] = True
     # dots in a shadow or of a wrong shape are missing: neighbours of neighbours belong together
     parts = label(binary_dilation(high, np.ones((3, 3))), np.ones((3, 3)))[0] * high

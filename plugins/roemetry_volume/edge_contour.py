@@ -50,7 +50,7 @@ from roemetry_volume.outline_features import features_of
 _LEAST_CONTRAST = 3.0
 """Times the belt's scatter that a product is brighter or darker: three standard deviations."""
 _USUAL_SPACING_PX = 40.0  # where the coder does not say where stripes lie on the belt
-_SAMPLED = 5  # every fifth row and column tell the belt's middle and scatter, and how far off a product is
+_SAMPLED = 5  # means over so many rows and columns tell the belt's middle and scatter, and a product's level
 
 _BELT_SMOOTH_PX = 5.0
 """The belt's image is smoothed against noise by less than light and texture vary over."""
@@ -193,12 +193,12 @@ class EdgeContour(Outliner[EdgeContourOptions]):
 
 
 def _is_clear(level: NDArray[np.float32], region: Flags) -> bool:
-    """Say whether a region stands out of the belt at all, means over five pixels and rows against noise."""
+    """Say whether a region stands out of the belt, by means of 5 × 5 pixels, which average noise out."""
     import cv2
 
     if not region.any() or region.all():
         return False
-    size = (level.shape[1] // _SAMPLED, level.shape[0] // _SAMPLED)
+    size = (max(level.shape[1] // _SAMPLED, 1), max(level.shape[0] // _SAMPLED, 1))
     light = cv2.resize(level, size, interpolation=cv2.INTER_AREA)
     held = cv2.resize(region.view(np.uint8), size, interpolation=cv2.INTER_NEAREST).view(np.bool_)
     outside, within = light[~held], light[held]

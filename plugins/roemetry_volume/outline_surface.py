@@ -124,7 +124,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
 def _widened(volume: Volume, apart: float, rng: np.random.Generator | None) -> Volume:
     """Add to a volume's uncertainties what outline and stripes are apart by, as a share of it."""
     share = apart / math.sqrt(3.0) if math.isfinite(apart) else 1.0
-    times = 1.0 if rng is None else 1.0 + share * float(rng.standard_normal())
+    times = 1.0 if rng is None else math.exp(share * float(rng.standard_normal()))  # never negative
 
     def wider(one: Estimate) -> Estimate:
         budget = {**one.budget, "outline or stripes": share * one.value}

@@ -78,7 +78,7 @@ pieces by themselves, where belt is missing, that nothing else keeps from being 
 _ALONE_PEAKS = 6
 """A trace of fewer peaks on another stripe's rest line is what is left of that belt at a shadow's edge."""
 _FOLLOWED_PEAKS = 5
-"""Some piece of a stripe on a body is followed over so many peaks, or the others are specks: 2 % of white
+"""Some trace of a stripe on a body is followed over so many peaks, or the others are specks: 2 % of white
 pixels gave a stripe that a skein hid 14 peaks in pieces of at most three, and the skein 36 % more volume."""
 _CONTESTED_PEAKS = 4
 """Order must speak against so many peaks of a piece before the piece is contested: at a body's edge its
@@ -197,7 +197,7 @@ def decided(
 
 
 def _never_followed(problem: Problem, stripe: Integers, body: Integers) -> Flags:
-    """Mark (peak,) labels of stripes of which a body shows short pieces alone."""
+    """Mark (peak,) labels of stripes of which a body shows short traces alone."""
     on = body > 0
     together = _together(problem, np.maximum(stripe, -1), on)
     cell = body * problem.there.size + np.maximum(stripe, 0)

@@ -42,7 +42,7 @@ def edited(text: str, name: str, wanted: Any) -> str:
     Raises
     ------
     ConfigurationError
-        The text cannot be changed so, for instance where ruamel.yaml gives a value no place.
+        The text cannot be changed so, for instance where ruamel.yaml gives no position for a value.
     """
     at = name
     for _ in range(_MOST_CHANGES):

@@ -55,6 +55,16 @@ def test_a_plane_that_moved_alone_is_named(rng: np.random.Generator) -> None:
     assert found.moved and 0.09 <= found.planes_std_px < 0.2
 
 
+@pytest.mark.parametrize("moved_px", [0.45, 0.55, 0.65, 0.9])
+def test_a_plane_that_moved_alone_is_no_lost_column(moved_px: float, rng: np.random.Generator) -> None:
+    rig = LinearRig()
+    for plane in range(rig.stripes):
+        x_px = rig.rest_px() + rng.normal(0.0, 0.1, (rig.stripes, rig.rows))
+        x_px[plane] += moved_px
+        found = BeltLines().align(rig.peaks(x_px).peaks, rig.calibration(), moved_rig)
+        assert "stripe-moved" in [reason.code for reason in found.reasons]
+
+
 @pytest.mark.parametrize("columns", [1, 2, -1])
 def test_lines_that_lie_aside_from_some_place_on_are_lost_columns(
     columns: int, rng: np.random.Generator
