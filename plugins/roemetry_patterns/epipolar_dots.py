@@ -9,7 +9,7 @@ neighbour, the least that any of the neighbour's candidates costs beside it (min
 Kschischang, Frey, Loeliger 2001).
 
 A label is given where the next best one costs more by what makes it improbable, and above the belt only if
-two neighbours in the pattern confirm its height; else the dot is ambiguous.
+two neighbours in the pattern confirm its height, or all where fewer have a label; else it is ambiguous.
 If too few dots lie on any ray, or too few rays are seen, the pattern is not the calibrated one, and the
 frame is refused.
 
@@ -67,8 +67,8 @@ _BROKEN = 9.0
 _EVIDENCE_MIN = 12.0
 """Cost of the next best label over the best, from which on a label is given: odds of 1 to 400."""
 _CONFIRMED_MIN = 2
-"""Neighbours on a surface that is less steep. Of 1,038 dots on products all that were right have two; two cut
-dots that lay on the rays of other dots, 28 mm too high, confirmed each other alone."""
+"""Neighbours on a surface that is less steep, of those that have a label. Of 1,038 dots on products all that
+were right have two; two cut dots on the rays of others, 28 mm too high, confirmed each other alone."""
 _ROUNDS = 4
 _ON_RAY_MIN = 0.6
 """Share of the dots that must lie on some ray's curve: of another pattern's, a fifth does."""
@@ -287,11 +287,14 @@ def _neighbours(found: Candidates, shape: tuple[int, int]) -> tuple[list[Integer
     return partners, costs
 
 
-def _confirmed(found: Candidates, sure: Integers, shape: tuple[int, int]) -> Integers:
-    """Give of each label how many neighbours of the pattern lie on a surface with it that is not steep."""
+def _confirmed(found: Candidates, sure: Integers, shape: tuple[int, int]) -> Flags:
+    """Say of each label whether two neighbours, or all of fewer, lie with it on no steep surface."""
     partner, step = _neighbours(Candidates._make(one[sure] for one in found), shape)
-    beside = [((other >= 0) & (cost < 1.0)).any(axis=1) for other, cost in zip(partner, step, strict=True)]
-    return np.asarray(np.sum(beside, axis=0))
+    there = np.sum([(other >= 0).any(axis=1) for other in partner], axis=0)
+    agree = np.sum(
+        [((other >= 0) & (cost < 1.0)).any(axis=1) for other, cost in zip(partner, step, strict=True)], axis=0
+    )
+    return np.asarray(agree >= np.minimum(there, _CONFIRMED_MIN))
 
 
 def _raised(found: Candidates, sure: Integers, least_mm: float) -> Flags:
@@ -333,8 +336,7 @@ def _map(
     sure = sure[np.argsort(-evidence[sure], kind="stable")]
     place = np.column_stack([found.ray[sure] // lines, peaks.row[found.dot[sure]]])
     sure = sure[np.sort(np.unique(place, axis=0, return_index=True)[1])]
-    witnesses = _confirmed(found, sure, (columns, lines))
-    sure = sure[~_raised(found, sure, least_mm) | (witnesses >= _CONFIRMED_MIN)]
+    sure = sure[~_raised(found, sure, least_mm) | _confirmed(found, sure, (columns, lines))]
     stripe, line = np.divmod(found.ray[sure], lines)
     dot = found.dot[sure]
     row = peaks.row[dot]
