@@ -12,8 +12,9 @@ a line thinner than a pixel are sharp. A join that crosses no stripe on a produc
 Repeats. Noise makes every frame another one, too, where it shows light: stretches of a row that are to the
 last grey level what they were in the frame before have not been taken anew. A frame that is the very same as
 a whole is left alone: then a file was copied. Where many single words of eight bytes repeat, too, or are
-those of the row above, there is too little noise to tell: JPEG takes it away. What comes from another
-frame than the one before is not seen.
+those of the row above, words tell too little: JPEG takes noise away, and of a thin stripe in one of three
+colours a word holds two or three grey levels. Pairs of words are asked then, which hold twice as much. What
+comes from another frame than the one before is not seen.
 """
 
 from __future__ import annotations
@@ -90,27 +91,29 @@ def check_repeats(laser: Frame, before: NDArray[Any]) -> None:
     level = new == (new & np.uint64(0xFF)) * _SAME_BYTES
     runs &= np.ascontiguousarray(level[:, : count * _RUN]).view(np.uint32) != _ALL_FOUR
     row, run = runs.nonzero()
-    stretches = new[:, : count * _RUN].reshape(len(new), count, _RUN)[row, run]
-    row = row[_varied(stretches)]
     if len(row) < _RUNS_MIN or again.all():
         return
+    stretches = new[:, : count * _RUN].reshape(len(new), count, _RUN)[row, run]
     near = runs.copy()  # the rest of a part's rows is no accident
     near[:, 1:] |= runs[:, :-1]
     near[:, :-1] |= runs[:, 1:]
-    others = ~level
-    others[:, : count * _RUN] &= ~np.repeat(near, _RUN, axis=1)
-    others[:, count * _RUN :] = False
-    alone = new[others & again]
-    as_above = new[1:][(new[1:] == new[:-1]) & ~level[1:]]
-    by_accident = _varied(np.concatenate([alone, as_above])[:, None])
-    if np.count_nonzero(by_accident) > _ALONE_SHARE * len(row):
-        return
-    raise DataError(
-        f"{laser.name}: from row {row.min()} to row {row.max()} a part of the image is identical to the "
-        "image before, to the last grey level, which a sensor's noise makes impossible: one of the two "
-        "contains a part of the other",
-        hint="look at cable, network and frame grabber; take the image again",
-    )
+    alone = ~level & again
+    alone[:, : count * _RUN] &= ~np.repeat(near, _RUN, axis=1)
+    alone[:, count * _RUN :] = False
+    by_accident = [_varied_words(new, alone)]
+    by_accident.append(_varied_words(new[1:], (new[1:] == new[:-1]) & ~level[1:]))
+    in_stretches = _varied_words(stretches, np.ones(stretches.shape, np.bool_))
+    for told, accidents in (
+        (row[_varied(stretches)], by_accident),
+        (row[_pairs(in_stretches).any(axis=1)], map(_pairs, by_accident)),
+    ):
+        if len(told) >= _RUNS_MIN and sum(map(np.count_nonzero, accidents)) <= _ALONE_SHARE * len(told):
+            raise DataError(
+                f"{laser.name}: from row {told.min()} to row {told.max()} a part of the image is identical "
+                "to the image before, to the last grey level, which a sensor's noise makes impossible: one "
+                "of the two contains a part of the other",
+                hint="look at cable, network and frame grabber; take the image again",
+            )
 
 
 _SAME_BYTES = np.uint64(0x0101010101010101)
@@ -128,6 +131,18 @@ def _varied(stretches: NDArray[np.uint64]) -> NDArray[np.bool_]:
     """Say over which stretches, (stretch, word), light varies."""
     grey = np.ascontiguousarray(stretches).view(np.uint8).reshape(len(stretches), 8 * stretches.shape[1])
     return np.asarray(grey.max(axis=1, initial=0) - grey.min(axis=1, initial=255) >= _VARIED_GREY)
+
+
+def _varied_words(words: NDArray[np.uint64], which: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Say over which of some words, (row, word), light varies."""
+    varied = which.copy()
+    varied[which] = _varied(words[which][:, None])
+    return varied
+
+
+def _pairs(of: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Say which words, (row, word), and the ones after them are both of a kind."""
+    return np.asarray(of[:, :-1] & of[:, 1:])
 
 
 def check_lines(laser: Frame) -> None:

@@ -191,6 +191,24 @@ def test_a_row_of_numbers_amid_a_longer_value_is_read_as_yaml_reads_it(tmp_path:
     assert read_numbers(path) == {"a": "x - [2.0, 3.0] y"}
 
 
+def test_a_block_of_the_frame_before_under_thin_stripes_of_one_colour_refuses_the_image(
+    rng: np.random.Generator,
+) -> None:
+    """Black but for one channel: of eight bytes two or three hold light, and repeat by accident."""
+    light = np.zeros((240, 320, 3))
+    place = np.arange(320)
+    for channel, first in ((1, 0.0), (2, 16.0)):
+        light[..., channel] = 150.0 * np.exp(-0.5 * (((place - first + 16.0) % 32.0 - 16.0) / 1.3) ** 2)
+    new, before = (
+        np.clip(rng.normal(light, 0.25 * np.sqrt(light)), 0, 255).round().astype(np.uint8) for _ in range(2)
+    )
+    check_repeats(Frame(new, name="frame"), before)
+    torn = new.copy()
+    torn[80:130, 100:170] = before[80:130, 100:170]
+    with pytest.raises(DataError, match="identical to the image before"):
+        check_repeats(Frame(torn, name="frame"), before)
+
+
 @pytest.mark.parametrize("noise_grey", [2.0, 0.0], ids=["noise", "no noise"])
 @pytest.mark.parametrize("part", [np.s_[:, 200:], np.s_[60:140, 64:256], np.s_[::2]])
 def test_a_part_of_the_frame_before_refuses_the_image(

@@ -305,6 +305,15 @@ def test_a_body_that_goes_on_far_beyond_its_stripes_refuses_its_product(
         assert found.fault is None
 
 
+def test_stripes_on_the_belt_within_the_body_refuse_it(rng: np.random.Generator) -> None:
+    """A block of another frame over one corner of the product, whose other stripes reach around it."""
+    sound = stripes_on()
+    covered = (sound.x_px > 210.0) & (np.arange(ROWS) > 120)
+    stripes = replace(sound, product=np.where(covered, 0, sound.product), seen=sound.seen | covered)
+    (found,) = EdgeContour().outline(LASER, plain_image(rng), stripes, None)
+    assert found.fault.code == "images-contradict" and "stripes lie on the belt" in found.fault.text
+
+
 @pytest.mark.parametrize("beyond_px", [0.0, 60.0])
 def test_stripes_of_a_product_far_beyond_the_body_refuse_it(
     rng: np.random.Generator, beyond_px: float
