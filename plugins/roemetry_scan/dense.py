@@ -11,7 +11,8 @@ as interpolated.
 Uncertainty, each part a standard deviation: `motion` V·u(t·n)/(t·n); `belt off its zero` what it does if that
 is because camera or laser have moved; `encoder quantum` half a count's way, uniform, of each slice's place;
 `belt jitter` the belt's scatter from line to line on slices; `slip` by the disagreement of several
-lines; `between slices` by what every other slice would give; `flanks` a part of what is not seen of them;
+lines; `between slices` by what every other slice would give; `flanks` a part of what is not seen of them,
+and by how much conics miss this body's flank where it is seen (`Profiles.flank_rel_std`);
 `rim` by how much the rim's height changes with the points that tell it;
 `not seen beside` what may lie between a slice's ends and what is seen next to them; `length of the line` V
 times twice its change since calibration; `damaged lines` three lines for each that was left out; `gaps` a
@@ -172,10 +173,12 @@ def budget_of(found: Sections, profiles: Profiles, number: int) -> dict[str, flo
     much = (followed / (_FLANKS_MUCH * abs(value))) ** 2 if value else 0.0
     edge = found.edge_mm * found.held_mm * found.point_mm * _EDGE_POINTS * 2.0 * _UNIFORM
     together = _EDGE_SHIFT * found.point_mm * float(found.edge_mm @ found.held_mm) * math.sqrt(2.0)
+    told = float(profiles.flank_rel_std[number]) if number < profiles.flank_rel_std.size else 0.0
+    other_side = 0.0 if math.isnan(told) else told * followed
     budget = {
         "between slices": uneven,
         "slice edges": math.hypot(float(np.sqrt(edge @ edge)), together),
-        "flanks": FLANK_SHARE * followed * (1.0 + much),
+        "flanks": math.hypot(FLANK_SHARE * followed * (1.0 + much), other_side),
         "gaps": _OVER_GAP * float(found.filled_mm2 @ found.held_mm)
         + _OVER_GAP * float(area @ (found.held_mm - found.own_mm)),
     }

@@ -42,16 +42,18 @@ _DENSE = 3.0
 apart eggs were 0.4 % too small by them (seed 31000)."""
 _SEEN_MIN, _REACH_MIN = 2, 0.6
 """Points of a row that must be seen below the height at which it is lost behind; the least reach."""
+_AREA_STEPS = 20
+"""Of a conic whose area is summed: the root at its end is then right to a thousandth of the area."""
 _POOLED = 3
 """Neighbours on either side whose mean stands for a point: noise of single ones bends the conic."""
 _FLAT = 1.02
 """The highest of them is so much higher than the last, or nothing bends."""
 
 
-def followed(xyz_mm: Floats, label: Labels, plane: Floats) -> tuple[Floats, Labels, Flags, Floats]:
-    """Give points and labels with the flanks that are not seen, which points these are, and rims.
+def followed(xyz_mm: Floats, label: Labels, plane: Floats) -> tuple[Floats, Labels, Flags, Floats, Floats]:
+    """Give points and labels with the flanks that are not seen, which points these are, rims, and doubts.
 
-    Rims as `Profiles.rim_mm`: NaN where slices lie too far apart to tell.
+    Rims as `Profiles.rim_mm`: NaN where slices lie too far apart to tell; doubts as `Profiles.flank_rel_std`.
 
     Parameters
     ----------
@@ -63,7 +65,8 @@ def followed(xyz_mm: Floats, label: Labels, plane: Floats) -> tuple[Floats, Labe
     dense = usual_step(xyz_mm, 0) <= _DENSE * usual_step(xyz_mm, 1)
     reach = reach_of(xyz_mm, label, none, by_row) if dense else np.ones(by_row.shape)
     points, number, added = followed_to(xyz_mm, label, plane, rims, by_row, reach)
-    return points, number, added, rims if dense else np.full(rims.shape, np.nan)
+    doubt = doubt_of(xyz_mm, label, none, by_row, reach)
+    return points, number, added, rims if dense else np.full(rims.shape, np.nan), doubt
 
 
 def usual_step(xyz_mm: Floats, axis: int) -> float:
@@ -272,7 +275,7 @@ def reach_of(xyz: Floats, label: Labels, added: Flags, by_row: Floats) -> Floats
     ends, says how far this product's sections are from conics: foods that bulge more fall off sooner. 1 where
     too few rows tell, and at most: what ends in a point on the one side hardly does so on the other.
     """
-    slices, points = label.shape
+    points = label.shape[1]
     products = by_row.shape[0] - 1
     told, at, count = (
         np.empty((products + 1, points)),
@@ -282,17 +285,8 @@ def reach_of(xyz: Floats, label: Labels, added: Flags, by_row: Floats) -> Floats
     d, z = np.empty(POINTS), np.empty(POINTS)
     for k in range(points):
         for number in range(1, products + 1):
-            first, last = -1, -1
-            for i in range(slices):
-                if label[i, k] == number and not added[i, k]:
-                    first, last = i if first < 0 else first, i
-            if first < 1 or last >= slices - 1 or math.isnan(by_row[number, k]):
-                continue
-            lost_before, lost_behind = label[first - 1, k] < 0, label[last + 1, k] < 0
-            if lost_before == lost_behind:
-                continue
-            way, edge, lost = (1, first, last) if lost_behind else (-1, last, first)
-            if label[edge - way, k] != 0:
+            way, edge, lost = _seen_side(label, added, number, k)
+            if way == 0 or math.isnan(by_row[number, k]):
                 continue
             i = edge
             while i != lost and label[i, k] == number and xyz[i, k, 2] < xyz[lost, k, 2]:
@@ -318,6 +312,78 @@ def reach_of(xyz: Floats, label: Labels, added: Flags, by_row: Floats) -> Floats
             for k in range(points):
                 reach[number, k] = min(max(reach[number, k], _REACH_MIN), 1.0)
     return reach
+
+
+@inlined
+def _seen_side(label: Labels, added: Flags, number: int, k: int) -> tuple[int, int, int]:
+    """Give the way inwards from the side of a row that is seen, its last slice there, and that behind.
+
+    Seen: belt is right beside it, while the row is lost on the other side; else the way is 0.
+    """
+    slices = label.shape[0]
+    first, last = -1, -1
+    for i in range(slices):
+        if label[i, k] == number and not added[i, k]:
+            first, last = i if first < 0 else first, i
+    if first < 1 or last >= slices - 1:
+        return 0, first, last
+    lost_before, lost_behind = label[first - 1, k] < 0, label[last + 1, k] < 0
+    if lost_before == lost_behind:
+        return 0, first, last
+    way, edge, lost = (1, first, last) if lost_behind else (-1, last, first)
+    return way if label[edge - way, k] == 0 else 0, edge, lost
+
+
+@float_kernel
+def doubt_of(xyz: Floats, label: Labels, added: Flags, by_row: Floats, reach: Floats) -> Floats:
+    """Give (product + 1,) how far off areas under followed flanks are, relative, by the side that is seen.
+
+    As in `reach_of`, a conic through what lies above the height at which the row is lost behind is followed
+    down the other side, as far as `reach` says, and its area compared with what is seen there. Single rows
+    tell too little, for an edge lies anywhere between two lines; so rows are taken together in groups, and
+    the groups' root mean square is given: bulges that are no conics add to it, whichever way they go. It
+    holds for a body that is as irregular behind as in front. NaN where too few rows tell.
+    """
+    points = label.shape[1]
+    products = by_row.shape[0] - 1
+    seen, told = np.empty((products + 1, points)), np.empty((products + 1, points))
+    count = np.zeros(products + 1, np.int64)
+    d, z = np.empty(POINTS), np.empty(POINTS)
+    for k in range(points):
+        for number in range(1, products + 1):
+            way, edge, lost = _seen_side(label, added, number, k)
+            if way == 0:
+                continue
+            i, area = edge, 0.5 * xyz[edge, k, 2] * abs(xyz[edge, k, 0] - xyz[edge - way, k, 0])
+            while i != lost and label[i, k] == number and xyz[i, k, 2] < xyz[lost, k, 2]:
+                after = i + way
+                if label[after, k] == number:
+                    area += 0.5 * (xyz[i, k, 2] + xyz[after, k, 2]) * abs(xyz[after, k, 0] - xyz[i, k, 0])
+                i = after
+            if label[i, k] != number or i == edge:
+                continue
+            many = _last_points(xyz, label, added, i, k, -way, 0, d, z)
+            r, a, b, c, length = conic(d, z, many, 10.0 * xyz[i, k, 2], by_row[number, k])
+            if length <= 0.0:
+                continue
+            conics = 0.0
+            for step in range(_AREA_STEPS):
+                at = (step + 0.5) / _AREA_STEPS * length
+                conics += (r + math.sqrt(max(a + b * at + c * at * at, 0.0))) * length / _AREA_STEPS
+            seen[number, count[number]], told[number, count[number]] = area, conics * reach[number, k]
+            count[number] += 1
+    doubt = np.full(products + 1, np.nan)
+    for number in range(1, products + 1):
+        groups, many = min(_RIM_GROUPS, count[number] // _RIM_ROWS_MIN), count[number]
+        if groups == 0:
+            continue
+        total = 0.0
+        for g in range(groups):
+            part = slice(g * many // groups, (g + 1) * many // groups)
+            off = np.sum(seen[number, part]) - np.sum(told[number, part])
+            total += (off * groups / np.sum(told[number, :many])) ** 2
+        doubt[number] = math.sqrt(total / groups)
+    return doubt
 
 
 @float_kernel

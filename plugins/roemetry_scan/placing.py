@@ -235,8 +235,10 @@ def motion_of(calibration: Calibration) -> Motion:
 
 def _with_flanks(profiles: Profiles) -> Profiles:
     """Add what is not seen of products' flanks, and say what is not seen beside them."""
-    xyz_mm, label, added, rims = followed(profiles.xyz_mm, profiles.product, profiles.plane)
-    found = replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added, rim_mm=rims)
+    xyz_mm, label, added, rims, doubt = followed(profiles.xyz_mm, profiles.product, profiles.plane)
+    found = replace(
+        profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added, rim_mm=rims, flank_rel_std=doubt
+    )
     return replace(found, beside_mm3=beside_mm3(found), rim_mm3=rim_mm3(profiles, found))
 
 

@@ -47,6 +47,9 @@ class Profiles(Shown):
     beside_mm3: Floats = field(default_factory=lambda: np.empty(0))
     """(product + 1,) by the product's number, how much larger it is if what is not seen between its slices'
     ends and the belt beside them is as high as these. Empty: nobody has looked for it."""
+    flank_rel_std: Floats = field(default_factory=lambda: np.empty(0))
+    """(product + 1,) by the product's number, relative standard uncertainty of what was followed of its
+    flanks, as the side tells that is seen; NaN where that tells nothing. Empty: nobody has looked for it."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -60,6 +63,7 @@ class Profiles(Shown):
             check.array(name, np.int64, (slices,))
         check.array("rim_mm3", np.float64, (None,))
         check.array("beside_mm3", np.float64, (None,))
+        check.array("flank_rel_std", np.float64, (None,))
         check.array("rim_mm", np.float64, (None,))
         plane = check.array("plane", np.float64, (slices, 4))
         if plane.shape == (slices, 4) and slices:

@@ -338,6 +338,7 @@ def _only(profiles: Profiles, number: int) -> Profiles:
         reasons=profiles.reasons,
         scan=profiles.scan,
         beside_mm3=profiles.beside_mm3,
+        flank_rel_std=profiles.flank_rel_std,
         rim_mm3=profiles.rim_mm3,
         rim_mm=profiles.rim_mm,
     )

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from roemetry_scan.flanks import conic, rims_of
+from roemetry_scan.flanks import conic, doubt_of, rims_of
 
 INWARDS_MM = np.linspace(0.0, 6.0, 20)
 
@@ -53,3 +53,35 @@ def test_a_rim_is_found_beside_points_that_are_too_dim_and_one_that_is_lifted(
     # what lifts the last point says how far off the rim may be
     outer, _ = rims_of(xyz_mm, label, none, 1, 0)
     assert 0.5 < outer[1] - rims[1] < 2.0
+
+
+@pytest.mark.parametrize(
+    ("stretched_rows", "longer", "expected"),
+    [(0, 1.0, 0.0), (70, 1.5, 0.5), (70, 0.7, 0.3), (30, 1.5, 0.5 * (3 / 7) ** 0.5)],
+)
+def test_flanks_are_doubted_by_what_conics_miss_on_the_side_that_is_seen(
+    stretched_rows: int, longer: float, expected: float
+) -> None:
+    half_mm, high_mm, lost_mm = 20.0, 16.0, 10.0
+    rows = 70
+    step_mm = 0.25
+    # edges lie anywhere between lines
+    x_mm = np.arange(-45.0, 45.0, step_mm)[:, None] + np.arange(rows) * 0.618 * step_mm % step_mm
+    # where the section is as high as the row is lost at behind; beyond, the side that is seen is stretched
+    there_mm = half_mm * np.sqrt(1.0 - (lost_mm / high_mm) ** 2)
+    times = np.where(np.arange(rows) < stretched_rows, longer, 1.0)
+    along_mm = np.where(x_mm < -there_mm, -there_mm + (x_mm + there_mm) / times, x_mm)
+    z_mm = high_mm * np.sqrt(np.maximum(1.0 - (along_mm / half_mm) ** 2, 0.0))
+    label = (z_mm > 0.0).astype(np.int16)
+    label[(x_mm > there_mm) & (x_mm < 30.0)] = -1
+    y_mm = np.broadcast_to(np.arange(rows) * 0.25, x_mm.shape)
+    xyz_mm = np.stack([x_mm, y_mm, np.where(label < 0, np.nan, z_mm)], axis=-1)
+    by_row = np.zeros((2, rows))
+    doubt = doubt_of(xyz_mm, label, np.zeros(label.shape, np.bool_), by_row, np.ones(by_row.shape))
+    assert doubt[1] == pytest.approx(expected, abs=0.04)
+
+
+def test_too_few_rows_tell_nothing_of_flanks() -> None:
+    label = np.zeros((9, 9), np.int16)
+    none = np.zeros(label.shape, np.bool_)
+    assert np.isnan(doubt_of(np.zeros((9, 9, 3)), label, none, np.zeros((2, 9)), np.ones((2, 9)))[1])
