@@ -57,8 +57,8 @@ _FLICKER_ROWS = 3
 """So many rows of it may be missing."""
 _DENIED_LINES_MIN = 8
 """Sight lines on which a body may not deny belt, but for `OVERLAP_LINES` at either end of a stripe. Of 16
-bodies on two path-traced rigs it is three at most; two that faint light put one stripe off had 15 and 34. Both
-sorts stay apart with three to six lines at the ends; with two, the first has nine."""
+bodies on two path-traced rigs it is three at most; two that faint light put one stripe off had 15 and 34.
+Both sorts stay apart with three to six lines at the ends; with two, the first has nine."""
 _CLAIM_PEAKS = 4
 """A piece with so many peaks of one stripe claims it."""
 
