@@ -48,6 +48,9 @@ _PARALLEL = 1e-3
 """Planes, or base and view, within so many radians of parallel have no stable common point."""
 GAP_LINES = 20
 """Longest gap along a trace that is tied over, lines."""
+OVERLAP_LINES = 4
+"""On so many lines both what lies before an edge and what lies behind it may be seen: light spreads over it
+by some two rows from either side."""
 _TIE_LOOSE = 1.8
 """What even two ends that hardly point at each other are tied by: little more than a cut."""
 _END_PX = (1.5, 0.25)

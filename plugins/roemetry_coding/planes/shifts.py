@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_coding.planes.graph import Candidates, PairCosts, Weights
-from roemetry_coding.planes.lines import Entries
+from roemetry_coding.planes.lines import OVERLAP_LINES, Entries
 from roemetry_kernels.compiling import kernel
 
 _ASIDE = 1
@@ -45,8 +45,6 @@ DISORDER = 8.0
 lies beyond a body's edge by the light's spread is in the trace of what it spread from."""
 IMPOSSIBLE = 20.0
 """Cost of a stripe that an entry cannot be, and of neighbours too far apart to be compared."""
-_OVERLAP_LINES = 4
-"""Two runs out of order on so few lines need not give way."""
 _GAIN_MIN = 0.5
 """A shift is made where it lowers the energy by so much: less is no difference."""
 _SHIFTS_MAX = 24
@@ -357,7 +355,7 @@ def _shift(f: int, by: int, way: Integers, runs: Runs, waiting: Integers, queued
         forced = False
         for n in range(runs.start[g], runs.start[g + 1]):
             t = runs.edge[n]
-            forced = forced or runs.disorder[t, way[runs.one[t]], way[runs.other[t]]] > _OVERLAP_LINES
+            forced = forced or runs.disorder[t, way[runs.one[t]], way[runs.other[t]]] > OVERLAP_LINES
         to = way[g] + by
         change = _change(g, to, way, runs)
         if forced and runs.own[g, _OUT] <= _SMALL_COST:

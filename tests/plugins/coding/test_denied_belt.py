@@ -11,12 +11,13 @@ from roemetry_coding.planes.vetoes import denies_belt
 
 @pytest.mark.parametrize(("denied", "doubted"), [(0, False), (4, False), (8, True), (40, True)])
 def test_a_body_may_not_leave_out_belt_of_its_own_stripes(denied: int, doubted: bool) -> None:
-    """Each of 40 lines holds two stripes of a body, and on some the belt of the second one, left out."""
-    lines = np.arange(40)
-    order = np.tile([0, 1, 2], 40)
-    stripe = np.tile([1, 2, -1], 40)
+    """Each of 60 lines holds two stripes of a body, and some amid it the belt of the second, left out."""
+    lines = np.arange(60)
+    order = np.tile([0, 1, 2], 60)
+    stripe = np.tile([1, 2, -1], 60)
     line = np.where(order == 2, 2, -1)
-    line[(order == 2) & (np.repeat(lines, 3) >= denied)] = 5  # of a stripe that the body has not
+    amid = (lines >= 10) & (lines < 10 + denied)
+    line[(order == 2) & ~np.repeat(amid, 3)] = 5  # of a stripe that the body has not
     none = np.full(order.size, -1)
     entries = Entries(
         np.arange(0, order.size + 1, 3), np.arange(order.size), np.arange(float(order.size)), none, none,
@@ -35,3 +36,26 @@ def test_belt_of_another_bodys_stripe_is_no_doubt() -> None:
         np.zeros(stripe.size),
     )  # fmt: skip
     np.testing.assert_array_equal(denies_belt(entries, line, stripe, body), body == 2)
+
+
+def test_light_over_a_bodys_edge_is_no_doubt() -> None:
+    """An edge askew to the lines: the belt of each of 14 stripes reaches over it, 4 lines at either end."""
+    stripes, lines, spread = 14, 30, 4
+    start, stripe, line = [0], [], []
+    for e in range(spread * stripes + lines):
+        for s in range(stripes):
+            since = e - spread * s  # the body's edge meets each stripe that much later
+            if not 0 <= since < lines:
+                continue
+            stripe.append(s)
+            line.append(-1)
+            if since < spread or since >= lines - spread:
+                stripe.append(-1)
+                line.append(s)
+        start.append(len(stripe))
+    said, on = np.array(stripe), np.array(line)
+    none = np.full(said.size, -1)
+    entries = Entries(
+        np.array(start), np.arange(said.size), np.arange(float(said.size)), none, none, np.zeros(said.size)
+    )
+    assert not denies_belt(entries, on, said, np.where(said >= 0, 1, 0)).any()
