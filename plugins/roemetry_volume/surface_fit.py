@@ -70,39 +70,28 @@ class Start(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Fused:
-    """What was solved.
-
-    Attributes
-    ----------
-    points
-        The product's points; `place` (n, 2) are theirs along and across the product, mm.
-    rim, border, plate, knots
-        See their classes.
-    contour : ndarray, shape (400, 2)
-        The border along and across the product, mm.
-    open_end : ndarray, shape (400,)
-        True where the outline is a flat end's: no rim is asked for there.
-    height_mm : ndarray, shape (400,)
-        Height of the surface over the border.
-    s, v, weight_mm2
-        Nodes and weights over the footprint.
-    start
-        From which the same product is solved when it has changed a little.
-    """
+    """What was solved."""
 
     points: StripePoints
+    """The product's points; `place` (n, 2) are theirs along and across the product, mm."""
     place: Floats
     rim: Rim
     border: Border
     plate: Plate
     knots: Knots
+    """rim, border, plate, knots: see their classes."""
     contour: Floats
+    """(400, 2) the border along and across the product, mm."""
     open_end: Any
+    """(400,) true where the outline is a flat end's: no rim is asked for there."""
     height_mm: Floats
+    """(400,) height of the surface over the border."""
     s: Floats
     v: Floats
     weight_mm2: Floats
+    """s, v, weight_mm2: nodes and weights over the footprint."""
     start: Start
+    """From which the same product is solved when it has changed a little."""
 
     def heights(self, values: Floats | None = None, rim_shift_mm: float = 0.0) -> Floats:
         """Height at the nodes, mm; `values` are the plate's there, if they are not its own."""
