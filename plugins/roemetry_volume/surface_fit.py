@@ -69,8 +69,8 @@ class Start(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Fused:
-    """What was solved."""
+class FittedSurface:
+    """The surface that slices and outline give together."""
 
     points: StripePoints
     """The product's points; `place` (n, 2) are theirs along and across the product, mm."""
@@ -213,7 +213,7 @@ def _outermost(seen: Flags, z_mm: Floats, begin: int, stop: int, step: int) -> i
     return first
 
 
-def fuse(product: Product, view: View, outline: Outline, start: Start | None = None) -> Fused:
+def fit_surface(product: Product, view: View, outline: Outline, start: Start | None = None) -> FittedSurface:
     """Solve surface, rim and border together.
 
     Parameters
@@ -263,7 +263,9 @@ def fuse(product: Product, view: View, outline: Outline, start: Start | None = N
     s, v, weight = nodes_within(contour, *_gauss(_NODES[0]), *_gauss(_NODES[1]))
     weight *= abs(area_of(contour)) / weight.sum()  # corners are between nodes
     found = Start((centre, turn), height, fall, open_end, wall_shows)
-    return Fused(points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight, found)
+    return FittedSurface(
+        points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight, found
+    )
 
 
 def axes_of(xy: Floats) -> tuple[Floats, Floats]:
