@@ -154,7 +154,7 @@ def _shown_across(stripes: StripeMap, row: Integers, x_px: Floats, within_px: fl
     return np.asarray(cKDTree(places).query(np.column_stack([x_px, row]))[0] <= within_px)
 
 
-def said_of(part: OpenPart, product: Product) -> Reason | None:
+def open_points_reason(part: OpenPart, product: Product) -> Reason | None:
     """Say how much of a product is open, where, and what that does to its number; None where nothing is."""
     if not part.points:
         return None
@@ -239,8 +239,8 @@ def _within(
     for _ in range(mine.shape[0]):
         near_low, near_high = _filled(low, np.inf, row), _filled(high, -np.inf, row)
         inside = (place_px >= low[row]) & (place_px <= high[row])
-        beside = (place_px >= near_low - reach) & (place_px <= near_high + reach) & off_belt
-        more = (inside | beside) & ~found & ~belt
+        around = (place_px >= near_low - reach) & (place_px <= near_high + reach) & off_belt
+        more = (inside | around) & ~found & ~belt
         if not more.any():
             break
         found |= more
