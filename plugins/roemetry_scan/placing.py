@@ -36,7 +36,7 @@ from roemetry.stages import Assembler, StageOptions, Triangulator
 from roemetry_scan.belt import BeltOptions, fitted_plane, frame_on, plane_of_belt, products_on
 from roemetry_scan.encoder_places import encoder_places
 from roemetry_scan.flanks import followed, usual_step
-from roemetry_scan.hidden_margin import beside_mm3
+from roemetry_scan.hidden_margin import unseen_margin_mm3
 from roemetry_scan.line_ends import line_ends, longer_by
 from roemetry_scan.motion import measured_motion
 from roemetry_scan.rim_uncertainty import rim_mm3
@@ -237,7 +237,7 @@ def _with_flanks(profiles: Profiles) -> Profiles:
     """Add what is not seen of products' flanks, and say what is not seen beside them."""
     xyz_mm, label, added, rims = followed(profiles.xyz_mm, profiles.product, profiles.plane)
     found = replace(profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added, rim_mm=rims)
-    return replace(found, beside_mm3=beside_mm3(found), rim_mm3=rim_mm3(profiles, found))
+    return replace(found, unseen_margin_mm3=unseen_margin_mm3(found), rim_mm3=rim_mm3(profiles, found))
 
 
 def _lags(plane: Floats, motion: Floats, middle: int) -> Floats:

@@ -254,8 +254,8 @@ def _well_inside(outline: Outline, inside: Flags, row: Integers, x_px: Floats, d
     found = inside.copy()
     some = np.flatnonzero(found)
     right, down = depth_px * np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])[:, :, None]
-    beside = _inside(outline, (row[some] + down).ravel(), (x_px[some] + right).ravel())
-    found[some] = beside.reshape(4, -1).all(axis=0)
+    around = _inside(outline, (row[some] + down).ravel(), (x_px[some] + right).ravel())
+    found[some] = around.reshape(4, -1).all(axis=0)
     return found
 
 
@@ -337,7 +337,7 @@ def _only(profiles: Profiles, number: int) -> Profiles:
         plane=profiles.plane[slices],
         reasons=profiles.reasons,
         scan=profiles.scan,
-        beside_mm3=profiles.beside_mm3,
+        unseen_margin_mm3=profiles.unseen_margin_mm3,
         rim_mm3=profiles.rim_mm3,
         rim_mm=profiles.rim_mm,
     )
