@@ -41,7 +41,7 @@ from roemetry.io.yaml_source import dump, read
 from roemetry.records import Board, Frame, Peaks
 from roemetry.records.calibration import Calibration
 from roemetry_pinhole import boards as marks_in_boards
-from roemetry_pinhole.boards import BoardNotFoundError, BoardMarks
+from roemetry_pinhole.boards import BoardMarks, BoardNotFoundError
 from roemetry_pinhole.pinhole_plane import lines_at_height, points_of
 
 Image = NDArray[np.uint8]

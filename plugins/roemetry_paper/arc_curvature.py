@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from roemetry.records import Grade, Marks, Product, Reason
+from roemetry.records import Grade, ImageArrows, Product, Reason
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Classifier, StageOptions
 from roemetry_kernels.compiling import kernel
@@ -134,7 +134,7 @@ class ArcCurvature(Classifier[ArcCurvatureOptions]):
                 f"smallest_concave_radius_{unit}": smallest if math.isfinite(smallest) else math.nan,
             },
             reasons=(_reason(arcs, options),),
-            marks=_marks(arcs, unit),
+            arrows=_arrows(arcs, unit),
         )
 
 
@@ -279,10 +279,10 @@ def _are(count: int) -> str:
     return "is" if count == 1 else "are"
 
 
-def _marks(arcs: _Arcs, unit: str) -> Marks:
+def _arrows(arcs: _Arcs, unit: str) -> ImageArrows:
     known = np.isfinite(arcs.radius) & np.isfinite(arcs.centre_px).all(axis=1)
     drawn = slice(None) if known.all() else known
-    return Marks(
+    return ImageArrows(
         kind="centre of arc",
         unit=unit,
         stripe=arcs.stripe[drawn],

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.simulated_points import Shown, SimulatedRig, noisy, shown
 from roemetry.errors import CalibrationError
 from roemetry.records import Board
-from roemetry_pinhole.boards import BoardView, BoardMarks, Seen
+from roemetry_pinhole.boards import BoardMarks, BoardView, Seen
 from roemetry_pinhole.bundle import Measured
 from roemetry_pinhole.geometry import CAMERA, unknowns_of
 from roemetry_pinhole.initial_intrinsics import InitialCamera
