@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -107,8 +107,6 @@ class ArcCurvature(Classifier[ArcCurvatureOptions]):
     smaller than `delta_samples`, so the paper's lower limit of 4 px never acts. ``unknown`` is the answer
     where no curve is long enough for one circle.
     """
-
-    Options: ClassVar[type[StageOptions]] = ArcCurvatureOptions
 
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Grade one product; `rng` is not used, since no error of the rule itself is modelled."""

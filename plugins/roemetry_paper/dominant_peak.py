@@ -80,7 +80,6 @@ class DominantPeak(Extractor[DominantPeakOptions]):
     - The threshold is fixed: stripes dimmer than it are lost. ``threshold: auto`` mends this.
     """
 
-    Options: ClassVar[type[StageOptions]] = DominantPeakOptions
     capabilities = Capabilities(tolerance_px=0.55, saturated_tolerance_px=3.0)
     expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType(
         {

@@ -57,7 +57,6 @@ class PinholeCirclesOptions(BoardOptions):
 class PinholeCirclesCalibrator(Calibrator[PinholeCirclesOptions]):
     """Camera, lens, concentric cones of light, and the belt, from a board in many poses."""
 
-    Options = PinholeCirclesOptions
     capabilities = Capabilities(pattern="circles", fixture="roemetry_pinhole.conformance:circles_observed_of")
 
     def calibrate(self, observed: CalibrationSet) -> Calibration:

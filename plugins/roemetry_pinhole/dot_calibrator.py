@@ -51,7 +51,6 @@ class PinholeDotsOptions(BoardOptions):
 class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
     """Camera, lens, a ray of light for each dot, and the belt, from a board in many poses."""
 
-    Options = PinholeDotsOptions
     capabilities = Capabilities(pattern="dots", fixture="roemetry_pinhole.conformance:dots_observed_of")
 
     def calibrate(self, observed: CalibrationSet) -> Calibration:

@@ -63,7 +63,6 @@ class PinholeGridOptions(BoardOptions):
 class PinholeGridCalibrator(Calibrator[PinholeGridOptions]):
     """Camera, lens, a plane of light for each line of both families, and the belt."""
 
-    Options = PinholeGridOptions
     capabilities = Capabilities(pattern="grid", fixture="roemetry_pinhole.conformance:grid_observed_of")
 
     def calibrate(self, observed: CalibrationSet) -> Calibration:

@@ -26,7 +26,6 @@ from roemetry_pinhole.pinhole_plane import derived, flat
 class PinholeTwoFamiliesCalibrator(Calibrator[BoardOptions]):
     """Camera, lens, the planes of both families, and the belt."""
 
-    Options = BoardOptions
     capabilities = Capabilities(fixture="roemetry_pinhole.conformance:two_families_observed_of")
 
     def calibrate(self, observed: CalibrationSet) -> Calibration:

@@ -61,8 +61,6 @@ class Report(Sink[ReportOptions]):
     record, pictures from replaying the acquisition; where that is not possible the section says why.
     """
 
-    Options = ReportOptions
-
     @property
     def replays_first(self) -> int:
         """As many acquisitions as products: most show one."""

@@ -39,7 +39,6 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
     two volumes are a rectangle's middle and end, and their distance over √3 joins the uncertainty.
     """
 
-    Options = UndersideOptions
     capabilities = Capabilities(relative_tolerance=0.026)
 
     @property
