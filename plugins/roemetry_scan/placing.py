@@ -23,7 +23,7 @@ import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from roemetry.records import Profiles, Pyramid, Reason, ScanFigures, ScanLines, 
 from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry.records.calibration import Calibration
 from roemetry.records.scan import Motion
-from roemetry.stages import Assembler, StageOptions, Triangulator
+from roemetry.stages import Assembler, Triangulator
 from roemetry_scan.belt import BeltOptions, fitted_plane, frame_on, plane_of_belt, products_on
 from roemetry_scan.encoder_places import encoder_places
 from roemetry_scan.flanks import followed, usual_step
@@ -76,8 +76,6 @@ _STRAY_FACTOR = 2.0
 
 class BeltMotion(Assembler[BeltOptions]):
     """Places lines by encoder counts, fits the belt in the moving frame, and numbers the products."""
-
-    Options: ClassVar[type[StageOptions]] = BeltOptions
 
     def place(
         self, stripes: StripeMap, lines: ScanLines, calibration: Calibration, triangulator: Triangulator[Any]
