@@ -8,15 +8,14 @@ boards. Rendered images are kept in a folder and used again.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from benchmarks.command import parser_of
-from benchmarks.patterns import DOTS, NEAR_PX, VOLUME_HEAD, Volumes, off_cells, rendered, tell
+from benchmarks.patterns import DOTS, HEIGHT_HEAD, NEAR_PX, VOLUME_HEAD, Tally, rendered, tell
 from benchmarks.tables import table
 from roemetry import Recipe
-from roemetry.records import Frame, Sensor, StripeTruth, Trace
+from roemetry.records import Frame, Sensor
 from roemetry.records.arrays import Floats
 from roemetry.run.pipeline import Pipeline
 from roemetry_patterns.dot_centres import DotCentres
@@ -106,55 +105,13 @@ def products(seed: int, count: int, folder: Path) -> dict[str, str]:
     """Write labels, heights and volumes of every family."""
     pipeline, labels, volumes = Pipeline(Recipe.load(DOTS)), [], []
     for family in FAMILIES:
-        dots, height, measured = np.zeros(5, np.int64), [np.empty(0)], Volumes(pipeline, family)
+        found = Tally(family)
         for number in range(count):
             item = rendered(folder / f"{family}-{seed}-{number}.pickle", DOTS, family, seed, number)
-            trace, truth = measured.trace(item, f"{family}_{number}"), item.truth.stripes
-            if trace.stripes is not None and trace.peaks is not None and trace.profiles is not None:
-                assert truth is not None
-                dots += _judged(trace.stripes.peak_stripe, trace.peaks, truth)
-                height.append(_height_errors(trace.profiles.xyz_mm, trace.stripes, truth))
-        right, wrong, missed, total, strays = dots.tolist()
-        share, of = f"{right / max(total, 1):.2%}", f"{wrong} of {right + wrong}"
-        labels.append([family, share, of, f"{strays}", f"{missed}", *off_cells(np.concatenate(height))])
-        volumes.append([family, *measured.cells()])
-    head = ["product", "right", "wrong", "false light labelled", "no label", "height error, median", "rms"]
+            found.add(pipeline, item, f"{family}_{number}")
+        right, wrong, missed, strays = found.counts.tolist()
+        share, of = f"{right / max(right + wrong + missed, 1):.2%}", f"{wrong} of {right + wrong}"
+        labels.append([family, share, of, f"{strays}", f"{missed}", *found.height_cells()])
+        volumes.append([family, *found.volume_cells()])
+    head = ["product", "right", "wrong", "false light labelled", "no label", *HEIGHT_HEAD]
     return {"labels": table(head, labels), "volumes": table(["product", *VOLUME_HEAD], volumes)}
-
-
-def judged_dots(trace: Trace, truth: StripeTruth | None) -> Any:
-    """Count dots on products: right, wrong, without a label; and false light that got a label."""
-    if trace.peaks is None or trace.stripes is None or truth is None:
-        return np.zeros(4, np.int64)
-    right, wrong, missed, _, stray = _judged(trace.stripes.peak_stripe, trace.peaks, truth)
-    return np.array([right, wrong, missed, stray])
-
-
-def _judged(label: Any, peaks: Any, truth: StripeTruth) -> Any:
-    """Count dots on products: right, wrong, without a label, all; and false light that got a label."""
-    stripe, row = np.nonzero(np.isfinite(truth.x_px))
-    places = np.column_stack([truth.x_px[stripe, row], truth.y_px[stripe, row]])
-    found = np.column_stack([peaks.x_px, peaks.dots.y_px])
-    away = np.linalg.norm(found[:, None] - places[None], axis=2)
-    own = away.argmin(axis=1)
-    near = away.min(axis=1) < NEAR_PX
-    lit = near & truth.on_product[stripe, row][own]
-    right = lit & (label == stripe[own])
-    wrong = lit & (label >= 0) & (label != stripe[own])
-    return np.array(
-        [right.sum(), wrong.sum(), (lit & (label < 0)).sum(), lit.sum(), ((label >= 0) & ~near).sum()]
-    )
-
-
-def _height_errors(xyz_mm: Floats, stripes: Any, truth: StripeTruth) -> Floats:
-    """Errors of heights on products, mm."""
-    errors = []
-    for stripe, row in np.argwhere(np.isfinite(xyz_mm[..., 0])):
-        seen = np.flatnonzero(truth.on_product[stripe])
-        off = np.hypot(
-            truth.x_px[stripe, seen] - stripes.x_px[stripe, row],
-            truth.y_px[stripe, seen] - stripes.dots.y_px[stripe, row],
-        )
-        if seen.size and off.min() < NEAR_PX:
-            errors.append(xyz_mm[stripe, row, 2] - truth.xyz_mm[stripe, seen[off.argmin()], 2])
-    return np.array(errors)

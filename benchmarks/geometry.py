@@ -54,7 +54,3 @@ def _shift_px(rig: Rig, stripe: int, height_mm: float) -> float:
 
 def _lit(rig: Rig, stripe: int, height_mm: float) -> Floats:
     return np.array([float(rig.laser.x_mm(0.0, height_mm)[stripe]), 0.0, height_mm])
-
-
-if __name__ == "__main__":
-    main()

@@ -11,7 +11,7 @@ truth. What is rendered is kept in a folder and used again.
 
 from __future__ import annotations
 
-import pickle
+import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -21,17 +21,25 @@ import numpy as np
 from typer.testing import CliRunner
 
 from benchmarks.command import parser_of
-from benchmarks.dots import judged_dots
-from benchmarks.patterns import DOTS, GRID, NEAR_PX, VOLUME_HEAD, Volumes, judged_lines, tell
+from benchmarks.patterns import (
+    DOTS,
+    FAMILIES,
+    GRID,
+    LABEL_HEAD,
+    NEAR_PX,
+    PAGE,
+    VOLUME_HEAD,
+    Tally,
+    rendered,
+    tell,
+)
 from benchmarks.tables import table
 from roemetry import Recipe
 from roemetry.cli.main import app
 from roemetry.config.scene import Scene
-from roemetry.records import Frame, Simulated, StripeTruth, Trace
+from roemetry.records import Simulated, StripeTruth, Trace
 from roemetry.run.pipeline import Pipeline
 
-PAGE = Path("docs/measurements/patterns.md")
-FAMILIES = ("herring-roe", "potato", "egg", "fillet")
 RECIPES = {"grid": GRID, "dots": DOTS}
 
 
@@ -51,33 +59,20 @@ def main() -> None:
     for pattern in given.patterns.split(","):
         rigs = [Rig(pattern, given.seed, number, given.images) for number in range(given.rigs)]
         for family in FAMILIES:
-            counts, measured = np.zeros(4, np.int64), Volumes(None, f"{pattern}, {family}")
-            reached = np.zeros(2, np.int64)
+            found, reached = Tally(f"{pattern}, {family}"), np.zeros(2, np.int64)
             for rig in rigs:
                 for number in range(given.count):
                     item = rig.item(family, number)
-                    trace = measured.trace(item, f"{rig.name}-{family}-{number}", rig.pipeline())
-                    counts += (judged_dots if pattern == "dots" else judged_lines)(trace, item.truth.stripes)
+                    trace = found.add(rig.pipeline(), item, f"{rig.name}-{family}-{number}")
                     reached += labelled_of_visible(trace, item.truth.stripes)
-            right, wrong, missed, stray = counts.tolist()
-            total = right + wrong + missed
-            labels.append([
-                pattern, family, f"{right / max(total, 1):.2%} of {total}", f"{wrong}",
-                f"{missed / max(total, 1):.2%}", f"{stray}",
-                f"{reached[0] / max(reached[1], 1):.2%} of {reached[1]}",
-            ])  # fmt: skip
-            volumes.append([pattern, family, *measured.cells()])
-    head = [
-        "pattern", "product", "right, of peaks", "wrong", "no label", "other light labelled",
-        "right, of all lit and visible",
-    ]  # fmt: skip
-    tell(
-        {
-            "rigs-labels": table(head, labels),
-            "rigs-volumes": table(["pattern", "product", *VOLUME_HEAD], volumes),
-        },
-        PAGE if given.write else None,
-    )
+            of = f"{reached[0] / max(reached[1], 1):.2%} of {reached[1]}"
+            labels.append([pattern, family, *found.label_cells(), of])
+            volumes.append([pattern, family, *found.volume_cells()])
+    parts = {
+        "rigs-labels": table(["pattern", "product", *LABEL_HEAD, "right, of all lit and visible"], labels),
+        "rigs-volumes": table(["pattern", "product", *VOLUME_HEAD], volumes),
+    }
+    tell(parts, PAGE if given.write else None)
 
 
 def labelled_of_visible(trace: Trace, truth: StripeTruth | None) -> Any:
@@ -145,20 +140,15 @@ class Rig:
     def item(self, family: str, number: int) -> Simulated:
         """Render a product, or read it."""
         path = self._folder / f"{family}-{number}.pickle"
-        if not path.exists():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            maker = self._scene([f"simulator.options.product={{family: {family}}}"]).make()
-            path.write_bytes(pickle.dumps(maker.simulate(number, self._seed + 1)))
-        found: Simulated = pickle.loads(path.read_bytes())
-        return found
-
-    def _scene(self, sets: list[str]) -> Scene:
-        return Scene.load(RECIPES[self._pattern] / "simulated.yaml", sets=[*self._sets, *sets])
+        return rendered(path, RECIPES[self._pattern], family, self._seed + 1, number, self._sets)
 
     def _calibrate(self) -> None:
-        frames = self._scene([]).make().calibration_frames(self._seed)
+        scene = Scene.load(RECIPES[self._pattern] / "simulated.yaml", sets=self._sets)
+        frames = scene.make().calibration_frames(self._seed)
         for kind, pose, place in _board_images():
-            _save(self._folder / "calibration" / place, frames[kind][pose])
+            path = self._folder / "calibration" / place
+            path.parent.mkdir(parents=True, exist_ok=True)
+            assert cv2.imwrite(str(path), frames[kind][pose].pixels)
         for name in ("rig.yaml", "pattern.yaml"):
             shutil.copy(RECIPES[self._pattern] / name, self._folder)
         result = CliRunner().invoke(app, ["calibrate", str(self._folder / "rig.yaml")])
@@ -198,16 +188,10 @@ def drawn_rig(rng: np.random.Generator, pattern: str) -> list[str]:
         "gloss": between(0.0, 0.05),
     }
     return [
-        f"simulator.options.{part}.{key}={_yaml(value)}"
+        f"simulator.options.{part}.{key}={json.dumps(value)}"
         for part, values in (("camera", camera), ("laser", laser), ("surface", surface))
         for key, value in values.items()
     ]
-
-
-def _yaml(value: Any) -> str:
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key}: {_yaml(one)}" for key, one in value.items()) + "}"
-    return f"{value}"
 
 
 def _board_images() -> list[tuple[str, str, str]]:
@@ -221,10 +205,3 @@ def _board_images() -> list[tuple[str, str, str]]:
         ("chessboard", "on_belt_plain", "chessboard/on_belt_plain.png"),
         *boards,
     ]
-
-
-def _save(path: Path, frame: Frame) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    good, data = cv2.imencode(".png", frame.pixels)
-    assert good
-    path.write_bytes(data.tobytes())

@@ -1,62 +1,138 @@
-"""``python -m benchmarks patterns``: grids against their truth, and lines, a grid and dots at equal light.
+"""``python -m benchmarks patterns``: grids, lines, dots, circles, lines of two colours against their truth.
 
-Products that the ray-caster draws with the rig of `recipes/potato_grid`: its grid, its 15 lines
-alone with twice the light each, and the dots of `recipes/potato_dots`. Rendered images are kept in a folder
-and used again.
+``python -m benchmarks patterns [--parts grid,circles,colours] [--seed 32000] [--count 2] [--write]``
+
+Products that the ray-caster draws: with the rig of `recipes/potato_grid`, its grid, and its 15 lines alone
+with twice the light each; with those of `recipes/potato_dots`, `potato_circles` and `potato_two_colours`
+their own patterns, and as many lines of one colour with the same planes and light. All are measured with
+their recipe's calibration. Rendered images are kept in a folder and used again; those in plain light are
+shared.
 """
 
 from __future__ import annotations
 
-import argparse
 import pickle
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.command import parser_of
+from benchmarks.pictures import curves
 from benchmarks.tables import Against, put_into, table
+from benchmarks.volume_scenes import calibration_of
 from roemetry import Recipe
 from roemetry.config.scene import Scene
+from roemetry.errors import StageError
 from roemetry.records import Acquisition, Peaks, Simulated, StripeMap, StripeTruth, Trace
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.run.pipeline import Pipeline
+from roemetry.run.preprocess import prepare
+from roemetry_coding.planes import Planes
+from roemetry_coding.two_families import TwoFamilies, part_of
+from roemetry_peaks.gaussian import Gaussian
+from roemetry_peaks.two_channels import TwoChannels
+from roemetry_simulate.ray_caster import RayCaster
 
 GRID, DOTS = Path("recipes/potato_grid"), Path("recipes/potato_dots")
-PAGE = Path("docs/measurements/patterns.md")
+_CIRCLES, _COLOURS = Path("recipes/potato_circles"), Path("recipes/potato_two_colours")
+PAGE, _PICTURE = Path("docs/measurements/patterns.md"), Path("docs/images/two-colours.svg")
 FAMILIES = ("herring-roe", "potato", "egg", "fillet")
-PATTERNS = ("15 lines", "15 lines, dot-surface", "grid 15 × 11", "400 dots")
-_LINES_LIGHT = "simulator.options.laser.peak_e_per_ms=1580"
-_LINES_ALONE = "pattern={kind: lines, lines_x: 15, spacing_x_mm: 8}"
-"""15 lines 150 mm long, and 11 of 200 mm, in the view: without the latter twice the light for each."""
 NEAR_PX = 2.0
 """A peak nearer than this to a true line, or dot, is that one."""
+_DENSER = ((20, 6.5), (30, 4.3), (40, 3.25), (50, 2.6))
+"""Lines over the same 130 mm; the 40 mm of a potato move a line by as much as 7 mm on the belt."""
+_POTATOES = 5
+LABEL_HEAD = ("right", "wrong", "no label", "other light labelled")
+HEIGHT_HEAD = ("height error, median", "rms")
 VOLUME_HEAD = (
     "measured", "mean error", "mean absolute", "largest", "95 % hold", "median width", "processor time",
 )  # fmt: skip
 
 
+class Pattern(NamedTuple):
+    """A pattern: the recipe whose scene is rendered, and what is changed in the scene and in the recipe."""
+
+    name: str
+    images: str
+    """Of its kept images."""
+    recipe: Path
+    scene: tuple[str, ...] = ()
+    stages: tuple[str, ...] = ()
+
+    def pipeline(self) -> Pipeline:
+        """Give the pipeline that measures it; of a grid's lines alone with the calibration of these."""
+        sets = list(self.stages)
+        if self.recipe == GRID and sets:
+            path = Path("build/patterns/lines.yaml")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _upright_of(Calibration.load(GRID / "calibration.yaml")).save(path)
+            sets.append(f"calibration={path.resolve()}")
+        return Pipeline(Recipe.load(self.recipe, sets=sets))
+
+    def item(self, family: str, seed: int, number: int, folder: Path) -> Simulated:
+        """Render an item, or read it; all patterns share its plain-light image."""
+
+        def one(name: str, recipe: Path, light: str, *sets: str) -> Simulated:
+            path = folder / f"{name}-{family}-{seed}-{number}.pickle"
+            lights = f"simulator.options.light.images=[{light}]"
+            return rendered(path, recipe, family, seed, number, [lights, *sets])
+
+        found = one(self.images, self.recipe, "laser", *self.scene)
+        return replace(found, frames=(*found.frames, *one("plain", DOTS, "plain").frames))
+
+
+_ALONE = ("simulator.options.laser.peak_e_per_ms=1580", "pattern={kind: lines, lines_x: 15, spacing_x_mm: 8}")
+"""15 lines 150 mm long, and 11 of 200 mm, in the view: without the latter twice the light for each.
+
+Circles are 2.83 m long in the view, the 15 lines 2.25 m at 1580, the grid 4.45 m at 800."""
+_BY_PLANES = ("stages.extractor=gaussian", "stages.coder=planes")
+_OF_LINES = (*_BY_PLANES, "stages.triangulator=pinhole-plane")
+_LINES = Pattern("15 lines", "lines", GRID, _ALONE, (*_OF_LINES, "stages.volume=outline-surface"))
+_SURFACE = Pattern("15 lines, dot-surface", "lines", GRID, _ALONE, (*_OF_LINES, "stages.volume=dot-surface"))
+_GRID = Pattern("grid 15 × 11", "grid", GRID)
+_RINGS = Pattern("11 circles", "circles", _CIRCLES, ("simulator.options.laser.peak_e_per_ms=1250",))
+_TWO = Pattern("20 lines, two colours", "two-colours", _COLOURS)
+_ONE = Pattern(
+    "20 lines, one colour", "one-colour", _COLOURS,
+    ("pattern={kind: lines, lines_x: 20, spacing_x_mm: 6.5}",),
+    (*_BY_PLANES, "source.channel=grey", "source.second_channel=null"),
+)  # fmt: skip
+
+
 def main() -> None:
     """Measure, print, and write the page's tables if wanted."""
-    given = arguments(__doc__)
-    asked = given.seed, given.count, given.images
-    tell({"labels": labels(*asked), "volumes": volumes(*asked)}, PAGE if given.write else None)
-
-
-def arguments(description: str | None) -> argparse.Namespace:
-    """Read the command line of a benchmark of patterns."""
-    parser = parser_of(description)
+    parser = parser_of(__doc__)
+    parser.add_argument("--parts", default="grid", help="of grid (with lines and dots), circles, colours")
     parser.add_argument("--seed", type=int, default=32000, help="first seed of products")
     parser.add_argument("--count", type=int, default=2, help="products of each family")
     parser.add_argument(
         "--images", type=Path, default=Path("build/patterns"), help="folder of rendered images"
     )
     parser.add_argument("--write", action="store_true", help=f"write the tables of {PAGE}")
-    return parser.parse_args()
+    given = parser.parse_args()
+    asked, parts = (given.seed, given.count, given.images), dict[str, str]()
+    if "grid" in given.parts:
+        dots = Pattern("400 dots", "dots", DOTS)
+        tallies = measured((_LINES, _SURFACE, _GRID, dots), *asked)
+        parts["labels"] = labels_table(tallies, _GRID)
+        parts["volumes"] = volumes_table(tallies)
+    if "circles" in given.parts:
+        tallies = measured((_RINGS,), *asked)
+        parts |= {"circles-labels": labels_table(tallies, _RINGS), "circles-volumes": volumes_table(tallies)}
+    if "colours" in given.parts:
+        tallies = measured((_TWO, _ONE), *asked)
+        rows = [[*who, *found.label_cells()] for who, found in tallies.items()]
+        parts["colours-labels"] = table(["product", "pattern", *LABEL_HEAD], rows)
+        parts["colours-volumes"] = volumes_table(tallies)
+        picture = _PICTURE if given.write else None
+        parts["colours-density"] = by_density(given.seed + 100, given.images, picture)
+    tell(parts, PAGE if given.write else None)
 
 
 def tell(parts: dict[str, str], page: Path | None) -> None:
@@ -80,37 +156,7 @@ def rendered(
     return found
 
 
-def item_of(pattern: str, family: str, seed: int, number: int, folder: Path) -> Simulated:
-    """Render an item, or read it; all patterns share its plain-light image."""
-
-    def one(name: str, recipe: Path, light: str, *sets: str) -> Simulated:
-        path = folder / f"{name}-{family}-{seed}-{number}.pickle"
-        lights = f"simulator.options.light.images=[{light}]"
-        return rendered(path, recipe, family, seed, number, [lights, *sets])
-
-    if pattern == PATTERNS[3]:
-        found = one("dots", DOTS, "laser")
-    elif pattern == PATTERNS[2]:
-        found = one("grid", GRID, "laser")
-    else:
-        found = one("lines", GRID, "laser", _LINES_LIGHT, _LINES_ALONE)
-    return replace(found, frames=(*found.frames, *one("plain", DOTS, "plain").frames))
-
-
-def pipeline_of(pattern: str) -> Pipeline:
-    """Give the pipeline that measures a pattern: the shipped recipe, of lines alone the usual stages."""
-    if pattern not in PATTERNS[:2]:
-        return Pipeline(Recipe.load(DOTS if pattern == PATTERNS[3] else GRID))
-    volume = "dot-surface" if pattern == PATTERNS[1] else "outline-surface"
-    path = Path("build/patterns/lines.yaml")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    upright_of(Calibration.load(GRID / "calibration.yaml")).save(path)
-    stages = {"extractor": "gaussian", "coder": "planes", "triangulator": "pinhole-plane", "volume": volume}
-    sets = [f"calibration={path.resolve()}", *(f"stages.{kind}={name}" for kind, name in stages.items())]
-    return Pipeline(Recipe.load(GRID, sets=sets))
-
-
-def upright_of(calibration: Calibration) -> Calibration:
+def _upright_of(calibration: Calibration) -> Calibration:
     """Leave of a grid's calibration the lines that cross rows."""
     across = calibration.parameters["across_planes_per_mm"].size
     parameters = dict(calibration.parameters)
@@ -119,17 +165,18 @@ def upright_of(calibration: Calibration) -> Calibration:
     return replace(calibration, method="pinhole-plane", parameters=parameters, covariance=kept, across=None)
 
 
-class Volumes:
-    """Volumes of one family, as one pipeline measures them, against their truth."""
+class Tally:
+    """Labels, heights and volumes of some products, against their truth."""
 
-    def __init__(self, pipeline: Pipeline | None, what: str) -> None:
-        self._pipeline, self._what = pipeline, what
+    def __init__(self, what: str) -> None:
+        self._what = what
         self._found, self._seconds = Against(), list[float]()
+        self.counts = np.zeros(4, np.int64)
+        """Of `judged`."""
+        self._over, self._error_mm = [np.empty(0)], [np.empty(0)]
 
-    def trace(self, item: Simulated, name: str, pipeline: Pipeline | None = None) -> Trace:
-        """Measure an item, with the family's pipeline or its own; its largest product counts."""
-        pipeline = pipeline or self._pipeline
-        assert pipeline is not None
+    def add(self, pipeline: Pipeline, item: Simulated, name: str) -> Trace:
+        """Measure an item; its largest product counts."""
         frames = tuple(replace(frame, name="item") for frame in item.frames)
         begin = time.process_time()
         trace = pipeline.trace(Acquisition(name, frames))
@@ -142,9 +189,39 @@ class Volumes:
         else:
             why = trace.absent if found is None else found.absent
             print(self._what, name, {kind: reason.text for kind, reason in why.items()})
+        truth = item.truth.stripes
+        self.counts += judged(trace, truth)
+        if trace.stripes is not None and trace.profiles is not None and truth is not None:
+            of = _dot_errors if trace.stripes.dots is not None else _line_errors
+            over, error_mm = of(trace.profiles.xyz_mm, trace.stripes, truth)
+            self._over.append(over)
+            self._error_mm.append(error_mm)
         return trace
 
-    def cells(self) -> list[str]:
+    def label_cells(self) -> list[str]:
+        """Write the cells of `LABEL_HEAD`."""
+        right, wrong, missed, stray = self.counts.tolist()
+        total = right + wrong + missed
+        if not total:
+            return ["refused", "–", "–", "–"]
+        return [f"{right / total:.2%} of {total}", f"{wrong}", f"{missed / total:.2%}", f"{stray}"]
+
+    def held(self) -> str:
+        """Write how many 95 % intervals of peaks hold the true place."""
+        over = np.concatenate(self._over)
+        return f"{np.mean(np.abs(over) < 1.96):.1%}" if over.size else "–"
+
+    def height_cells(self) -> list[str]:
+        """Write the cells of `HEIGHT_HEAD`: median and root mean square of the errors."""
+        error_mm = np.concatenate(self._error_mm)
+        if not error_mm.size:
+            return ["–", "–"]
+        return [
+            f"{1e3 * np.median(np.abs(error_mm)):.0f} µm",
+            f"{1e3 * np.sqrt((error_mm**2).mean()):.0f} µm",
+        ]
+
+    def volume_cells(self) -> list[str]:
         """Write the cells of `VOLUME_HEAD`."""
         found, off = self._found, 100.0 * self._found.off
         if not off.size:
@@ -156,67 +233,111 @@ class Volumes:
         ]  # fmt: skip
 
 
-def off_cells(error_mm: Floats) -> list[str]:
-    """Write the median and the root mean square of height errors."""
-    return [f"{1e3 * np.median(np.abs(error_mm)):.0f} µm", f"{1e3 * np.sqrt((error_mm**2).mean()):.0f} µm"]
+Tallies = dict[tuple[str, str], Tally]
+"""By product and pattern."""
 
 
-def volumes(seed: int, count: int, folder: Path) -> str:
-    """Write volumes of every family under every pattern."""
-    pipelines, rows = {pattern: pipeline_of(pattern) for pattern in PATTERNS}, []
+def measured(patterns: Sequence[Pattern], seed: int, count: int, folder: Path) -> Tallies:
+    """Measure products of every family under patterns."""
+    pipelines, tallies = {pattern: pattern.pipeline() for pattern in patterns}, Tallies()
     for family in FAMILIES:
         for pattern, pipeline in pipelines.items():
-            found = Volumes(pipeline, f"{family}, {pattern}")
+            found = tallies[family, pattern.name] = Tally(f"{family}, {pattern.name}")
             for number in range(count):
-                found.trace(item_of(pattern, family, seed, number, folder), f"item_{number}")
-            rows.append([family, pattern, *found.cells()])
+                found.add(pipeline, pattern.item(family, seed, number, folder), f"item_{number}")
+    return tallies
+
+
+def volumes_table(tallies: Tallies) -> str:
+    """Write volumes of every family under every pattern."""
+    rows = [[*who, *found.volume_cells()] for who, found in tallies.items()]
     return table(["product", "pattern", *VOLUME_HEAD], rows)
 
 
-def labels(seed: int, count: int, folder: Path) -> str:
+def labels_table(tallies: Tallies, pattern: Pattern) -> str:
     """Write how many peaks on products get their line's label, and how far heights are off."""
-    pipeline, rows = pipeline_of(PATTERNS[2]), []
-    for family in FAMILIES:
-        judged, errors, over = np.zeros(4, np.int64), [np.empty(0)], [np.empty(0)]
-        for number in range(count):
-            item = item_of(PATTERNS[2], family, seed, number, folder)
-            trace = Volumes(pipeline, family).trace(item, f"item_{number}")
-            if trace.peaks is None or trace.stripes is None or trace.profiles is None:
-                continue
-            truth = item.truth.stripes
-            for peaks, stripes, true in (
-                (trace.peaks, trace.stripes, truth),
-                (trace.peaks.across, trace.stripes.across, truth.across if truth else None),
-            ):
-                assert peaks is not None and stripes is not None and true is not None
-                over.append((_off_px(stripes, true) / stripes.x_std_px).ravel())
-            judged += judged_lines(trace, truth)
-            errors.append(_height_errors(trace.profiles.xyz_mm[..., 2], trace.stripes, truth))
-        ratio = np.concatenate([one[np.isfinite(one)] for one in over])
-        right, wrong, missed, stray = judged.tolist()
-        total = max(right + wrong + missed, 1)
-        rows.append([
-            family, f"{right / total:.2%} of {total}", f"{wrong}", f"{missed / total:.2%}", f"{stray}",
-            f"{np.mean(np.abs(ratio) < 1.96):.1%}", *off_cells(np.concatenate(errors)),
-        ])  # fmt: skip
-    return table(
-        ["product", "right", "wrong", "no label", "other light labelled", "95 % intervals of peaks hold",
-         "height error, median", "rms"], rows,
-    )  # fmt: skip
+    rows = [
+        [family, *found.label_cells(), found.held(), *found.height_cells()]
+        for (family, name), found in tallies.items()
+        if name == pattern.name
+    ]
+    return table(["product", *LABEL_HEAD, "95 % intervals of peaks hold", *HEIGHT_HEAD], rows)
 
 
-def judged_lines(trace: Trace, truth: StripeTruth | None) -> Any:
-    """Count peaks of all families on products, as `_judged` does; nothing where there is no map."""
-    if trace.peaks is None or trace.stripes is None or truth is None:
+def by_density(seed: int, folder: Path, picture: Path | None) -> str:
+    """Write labels of more and more lines on potatoes, in two colours and in one, with the true geometry."""
+    rows: list[list[str]] = []
+    shares: dict[str, list[tuple[float, float]]] = {"two colours": [], "one colour": []}
+    for lines, spacing_mm in _DENSER:
+        for colours, way in ((2, "two colours"), (1, "one colour")):
+            pattern = (
+                f"pattern={{kind: lines, lines_x: {lines}, colours: {colours}, spacing_x_mm: {spacing_mm}}}"
+            )
+            sets = [pattern, "simulator.options.light.images=[laser]"]
+            caster = Scene.load(_COLOURS / "simulated.yaml", sets=sets).make()
+            assert isinstance(caster, RayCaster)
+            calibration = replace(calibration_of(caster.rig), height_range_mm=(0.0, 60.0))
+            counts, refused = np.zeros(4, np.int64), 0
+            for number in range(_POTATOES):
+                name = f"dense-{lines}-{colours}-{seed}-{number}.pickle"
+                item = rendered(folder / name, _COLOURS, "potato", seed, number, sets)
+                try:
+                    counts += _coded(item, calibration, two=colours == 2)
+                except StageError as error:
+                    print(f"{lines} lines, {way}: {error.message}")
+                    refused += 1
+            right, wrong, missed, _ = counts.tolist()
+            total = max(right + wrong + missed, 1)
+            rows.append([
+                f"{lines}, every {spacing_mm:g} mm", way, f"{right / total:.2%} of {total}",
+                f"{wrong / total:.2%}", f"{missed / total:.2%}", f"{refused} of {_POTATOES}",
+            ])  # fmt: skip
+            shares[way].append((float(lines), right / total))
+    if picture is not None:
+        curves(picture, shares, "lines over 130 mm", "share of peaks labelled rightly")
+    return table(["lines", "in", "right", "wrong", "no label", "refused"], rows)
+
+
+def _coded(item: Simulated, calibration: Calibration, *, two: bool) -> NDArray[np.int64]:
+    channels: dict[str, Any] = {"channel": "red", "second_channel": "green"} if two else {}
+    frame = prepare(Acquisition("item", item.frames), turn_deg=0, subtract="none", **channels)
+    extractor, coder = (TwoChannels(), TwoFamilies()) if two else (Gaussian(), Planes())
+    peaks = extractor.extract(frame)
+    trace = Trace("item", peaks=peaks, stripes=coder.code(peaks, calibration))
+    return judged(trace, item.truth.stripes)
+
+
+def judged(trace: Trace, truth: StripeTruth | None) -> NDArray[np.int64]:
+    """Count peaks on products: right, wrong, without a label; and other light that got a label.
+
+    Of all families of lines, each colour's peaks among the lines of that colour; 0 where there is no map.
+    """
+    peaks, stripes = trace.peaks, trace.stripes
+    if peaks is None or stripes is None or truth is None:
         return np.zeros(4, np.int64)
-    counts = _judged(trace.peaks, trace.stripes, truth)
-    if trace.peaks.across is None:
+    if peaks.dots is not None:
+        return _judged_dots(stripes.peak_stripe, peaks, truth)
+    if peaks.family is None:
+        counts = _judged(peaks, stripes, truth)
+        if peaks.across is not None:
+            assert stripes.across is not None and truth.across is not None
+            counts = counts + _judged(peaks.across, stripes.across, truth.across)
         return counts
-    assert trace.stripes.across is not None and truth.across is not None
-    return counts + _judged(trace.peaks.across, trace.stripes.across, truth.across)
+    counts, turn = np.zeros(4, np.int64), np.arange(stripes.stripe_count)[:, None] % 2
+    for family in (0, 1):
+        mine = np.flatnonzero(peaks.family == family)
+        part = replace(stripes, peak_stripe=stripes.peak_stripe[mine])
+        own = turn == family
+        lines = replace(
+            truth, x_px=np.where(own, truth.x_px, np.nan), on_product=truth.on_product & own,
+            xyz_mm=np.where(own[..., None], truth.xyz_mm, np.nan),
+            product=np.where(own, truth.product, -1).astype(truth.product.dtype),
+        )  # fmt: skip
+        counts += _judged(part_of(peaks, mine), part, lines)
+    return counts
 
 
-def _judged(peaks: Peaks, stripes: StripeMap, truth: StripeTruth) -> Any:
+def _judged(peaks: Peaks, stripes: StripeMap, truth: StripeTruth) -> NDArray[np.int64]:
     """Count peaks on products: labelled rightly, wrongly, not; and what is no line there and has a label."""
     off = np.abs(np.where(truth.on_product, truth.x_px, np.inf)[:, peaks.row] - peaks.x_px)
     own, near = off.argmin(axis=0), off.min(axis=0, initial=np.inf) < NEAR_PX
@@ -237,12 +358,43 @@ def _off_px(stripes: StripeMap, truth: StripeTruth) -> Floats:
     return np.where(truth.on_product & stripes.seen & (np.abs(off) < NEAR_PX), off, np.nan)
 
 
-def _height_errors(z_mm: Floats, stripes: StripeMap, truth: StripeTruth | None) -> Floats:
-    """Give errors of the heights of what was seen on products, mm, lines of both families."""
-    assert truth is not None and truth.across is not None and stripes.across is not None
+def _judged_dots(label: Any, peaks: Any, truth: StripeTruth) -> NDArray[np.int64]:
+    """Count dots, as `judged` does."""
+    stripe, row = np.nonzero(np.isfinite(truth.x_px))
+    places = np.column_stack([truth.x_px[stripe, row], truth.y_px[stripe, row]])
+    found = np.column_stack([peaks.x_px, peaks.dots.y_px])
+    away = np.linalg.norm(found[:, None] - places[None], axis=2)
+    own = away.argmin(axis=1)
+    near = away.min(axis=1) < NEAR_PX
+    lit = near & truth.on_product[stripe, row][own]
+    right = lit & (label == stripe[own])
+    wrong = lit & (label >= 0) & (label != stripe[own])
+    return np.array([part.sum() for part in (right, wrong, lit & (label < 0), (label >= 0) & ~near)])
+
+
+def _line_errors(xyz_mm: Floats, stripes: StripeMap, truth: StripeTruth) -> tuple[Floats, Floats]:
+    """Give errors on products: of places over what is stated of them, and of heights, mm; of all families."""
     count, rows = stripes.x_px.shape
-    parts = (z_mm[:count, :rows], stripes, truth), (
-        z_mm[count:, : stripes.across.rows], stripes.across, truth.across
-    )  # fmt: skip
-    errors = [(z - true.xyz_mm[..., 2])[np.isfinite(_off_px(family, true))] for z, family, true in parts]
-    return np.concatenate([one[np.isfinite(one)] for one in errors])
+    families = [(xyz_mm[:count, :rows, 2], stripes, truth)]
+    if stripes.across is not None and truth.across is not None:
+        families.append((xyz_mm[count:, : stripes.across.rows, 2], stripes.across, truth.across))
+    over, errors = [], []
+    for z_mm, family, true in families:
+        off_px = _off_px(family, true)
+        over.append((off_px / family.x_std_px).ravel())
+        errors.append((z_mm - true.xyz_mm[..., 2])[np.isfinite(off_px)])
+    return tuple(np.concatenate([one[np.isfinite(one)] for one in each]) for each in (over, errors))  # type: ignore[return-value]
+
+
+def _dot_errors(xyz_mm: Floats, stripes: Any, truth: StripeTruth) -> tuple[Floats, Floats]:
+    """Give nothing of places, and errors of heights of dots on products, mm."""
+    errors = []
+    for stripe, row in np.argwhere(np.isfinite(xyz_mm[..., 0])):
+        seen = np.flatnonzero(truth.on_product[stripe])
+        off = np.hypot(
+            truth.x_px[stripe, seen] - stripes.x_px[stripe, row],
+            truth.y_px[stripe, seen] - stripes.dots.y_px[stripe, row],
+        )
+        if seen.size and off.min() < NEAR_PX:
+            errors.append(xyz_mm[stripe, row, 2] - truth.xyz_mm[stripe, seen[off.argmin()], 2])
+    return np.empty(0), np.array(errors)

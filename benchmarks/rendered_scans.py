@@ -13,36 +13,21 @@ from __future__ import annotations
 
 import json
 import math
-import tempfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.command import parser_of
-from benchmarks.scans import (
-    FRUSTUM,
-    PYRAMID,
-    drawn_calibration,
-    drawn_rig,
-    measured,
-    recipe_of,
-    scene,
-    stripes_of,
-    tell,
-    told_scene,
-)
+from benchmarks.scans import calibrated_volume, drawn_rig, measured, tell, told_scene
 from benchmarks.tables import Against
 from roemetry.config.recipe import Recipe
 from roemetry.config.scene import Scene
 from roemetry.errors import StageError
 from roemetry.records import Frame, ProductTruth, Profiles, ScanLines
 from roemetry_mitsuba.moving_belt import MitsubaBelt, MitsubaBeltOptions
-from roemetry_pinhole.pinhole_plane import PinholePlane
 from roemetry_scan.closed import closed_volume
 from roemetry_scan.commands import read_registration
-from roemetry_scan.placing import BeltMotion
 
 BODIES: dict[str, dict[str, Any]] = {
     "ball": {"diameter_mm": [28, 40]},
@@ -149,24 +134,12 @@ def main() -> None:
             rig = drawn_rig(rng)
             # rendering takes its time line by line: pitches from the upper end of what rigs are drawn with
             rig["counts_per_line"] = math.ceil(rng.uniform(0.5, 0.7) / rig["mm_per_count"][0])
-            with_pyramid = scene(family="truncated-pyramid", product=FRUSTUM, **rig)
-            calibration = drawn_calibration(with_pyramid, rng)
-            stripes, pyramid = stripes_of(with_pyramid, asked.seed + k, 0.05)
-            moves, _ = BeltMotion().motion(stripes, pyramid, calibration, PinholePlane(), PYRAMID)
             sim = drawn_scene(family, rig, np.random.default_rng([asked.seed, k, *family.encode()]))
-            kept = None if asked.frames is None else asked.frames / f"{family}_{asked.seed}_{k}.npz"
-            lines, truth = lines_of(sim, asked.seed + k, kept)
-            with tempfile.TemporaryDirectory() as folder:
-                known = replace(calibration, motion=moves)
-
-                recipe = recipe_of(known, Path(folder), uncertainty="linear")
-                trace = measured(recipe, lines)
-            volume = trace.products[0].volume if len(trace.products) == 1 else None
-            if volume is None:
-                said = trace.absent or [one.absent for one in trace.products]
-                print(f"  {family} of seed {asked.seed + k}: {said}")
+            stored = None if asked.frames is None else asked.frames / f"{family}_{asked.seed}_{k}.npz"
+            lines, truth = lines_of(sim, asked.seed + k, stored)
+            value = calibrated_volume(rig, rng, asked.seed + k, lines, f"{family} of seed {asked.seed + k}")
+            if value is None:
                 continue
-            value = volume.visible_mm3
             found.add(value, truth.visible_mm3)
             print(
                 f"  {family} {asked.seed + k}: {value.value / truth.visible_mm3 - 1.0:+.3%} ± "

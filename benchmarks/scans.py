@@ -28,7 +28,17 @@ from benchmarks.command import parser_of
 from benchmarks.tables import Against
 from roemetry.config.recipe import Recipe
 from roemetry.io.yaml_source import dump
-from roemetry.records import Acquisition, Frame, Product, Profiles, Pyramid, ScanLines, StripeMap, Trace
+from roemetry.records import (
+    Acquisition,
+    Estimate,
+    Frame,
+    Product,
+    Profiles,
+    Pyramid,
+    ScanLines,
+    StripeMap,
+    Trace,
+)
 from roemetry.records.calibration import Calibration
 from roemetry.records.scan import Motion
 from roemetry.run.open_parts import split_products
@@ -250,6 +260,26 @@ def _visible_mm3(sim: MovingBelt, seed: int) -> float:
     return drawn.truth.visible_mm3
 
 
+def calibrated_volume(
+    rig: dict[str, Any], rng: np.random.Generator, seed: int, lines: ScanLines, name: str
+) -> Estimate | None:
+    """Measure lines with a calibration drawn for the rig, and the motion that a pyramid's pass tells by it.
+
+    Where there is not one volume, why not is printed.
+    """
+    with_pyramid = scene(family="truncated-pyramid", product=FRUSTUM, **rig)
+    calibration = drawn_calibration(with_pyramid, rng)
+    stripes, pyramid = stripes_of(with_pyramid, seed, 0.05)
+    moves, _ = BeltMotion().motion(stripes, pyramid, calibration, PinholePlane(), PYRAMID)
+    with tempfile.TemporaryDirectory() as folder:
+        recipe = recipe_of(replace(calibration, motion=moves), Path(folder), uncertainty="linear")
+        trace = measured(recipe, lines)
+    if len(trace.products) == 1 and trace.products[0].volume is not None:
+        return trace.products[0].volume.visible_mm3
+    print(f"  {name}: {trace.absent or [one.absent for one in trace.products]}")
+    return None
+
+
 def volumes(count: int, seed: int) -> None:
     """Say how far volumes are off, and how often their intervals hold the truth."""
     for family, options in CONVEX.items():
@@ -257,19 +287,12 @@ def volumes(count: int, seed: int) -> None:
         for k in range(count):
             rng = np.random.default_rng([seed, k, 3])
             rig = drawn_rig(rng)
-            with_pyramid = scene(family="truncated-pyramid", product=FRUSTUM, **rig)
-            calibration = drawn_calibration(with_pyramid, rng)
-            stripes, lines = stripes_of(with_pyramid, seed + k, 0.05)
-            moves, _ = BeltMotion().motion(stripes, lines, calibration, PinholePlane(), PYRAMID)
             # the shadow behind a product is as long as it is high
             sim = scene(family=family, product=options, lead_mm=35.0, **rig)
-            with tempfile.TemporaryDirectory() as folder:
-                recipe = recipe_of(replace(calibration, motion=moves), Path(folder), uncertainty="linear")
-                trace = measured(recipe, lines_of(sim, seed + k))
-            if len(trace.products) == 1 and trace.products[0].volume is not None:
-                found.add(trace.products[0].volume.visible_mm3, _visible_mm3(sim, seed + k))
-            else:
-                print(f"  {family} of seed {seed + k}: {trace.absent or [p.absent for p in trace.products]}")
+            name = f"{family} of seed {seed + k}"
+            volume = calibrated_volume(rig, rng, seed + k, lines_of(sim, seed + k), name)
+            if volume is not None:
+                found.add(volume, _visible_mm3(sim, seed + k))
         tell("volume", family, found)
 
 

@@ -41,7 +41,7 @@ from roemetry.io.yaml_source import dump, read
 from roemetry.records import Board, Frame, Peaks
 from roemetry.records.calibration import Calibration
 from roemetry_pinhole import boards as marks_in_boards
-from roemetry_pinhole.boards import BoardNotFoundError, Marks
+from roemetry_pinhole.boards import BoardMarks, BoardNotFoundError
 from roemetry_pinhole.pinhole_plane import lines_at_height, points_of
 
 Image = NDArray[np.uint8]
@@ -516,9 +516,9 @@ class _Remembering:
 def _remember() -> None:
     """Look for each board in each image once."""
     find = marks_in_boards.find_marks
-    kept: dict[tuple[int, Board], Marks | BoardNotFoundError] = {}
+    kept: dict[tuple[int, Board], BoardMarks | BoardNotFoundError] = {}
 
-    def find_marks(frame: Frame, board: Board) -> Marks:
+    def find_marks(frame: Frame, board: Board) -> BoardMarks:
         """Find a board, or say again why it cannot be used."""
         key = hash(frame.pixels.tobytes()), board
         if key not in kept:

@@ -1,6 +1,6 @@
 """Broken stripes of a real image without calibration: the coder `pieces`, against numbers by hand.
 
-``python -m benchmarks wheelset [--picture FILE]``
+``python -m benchmarks wheelset``
 
 The image is not part of the project: the environment variable ROEMETRY_REAL_DATA names its folder (default
 ``../shared/real``). It is turned so that stripes run from top to bottom. Pieces traced as by
@@ -9,7 +9,6 @@ The image is not part of the project: the environment variable ROEMETRY_REAL_DAT
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -57,9 +56,7 @@ class Verdict(NamedTuple):
 
 def main() -> None:
     """Print what is numbered, right and wrong."""
-    parser = parser_of(__doc__)
-    parser.add_argument("--picture", type=Path, help="draw the numbers into this file")
-    given = parser.parse_args()
+    parser_of(__doc__).parse_args()
     folder = folder_of("multi_stripe")
     if folder is None:
         raise SystemExit("multi_stripe is not there: set ROEMETRY_REAL_DATA")
@@ -71,8 +68,6 @@ def main() -> None:
     tell(verdict)
     for reason in stripes.reasons:
         print(f"{reason.code}: {reason.text}")
-    if given.picture:
-        draw(given.picture, turned, peaks, stripes, verdict)
 
 
 def judged(peaks: Peaks, stripes: StripeMap) -> Verdict:
@@ -114,22 +109,3 @@ def tell(verdict: Verdict) -> None:
     ):
         lines.append([words, f"{which.sum()}", f"{rows[which].sum()}"])
     print(table(["", "pieces", "centres"], lines), end="")
-
-
-def draw(path: Path, turned: NDArray[np.uint8], peaks: Peaks, stripes: StripeMap, verdict: Verdict) -> None:
-    """Draw peaks in the colour of their number; what has none is grey."""
-    picture = cv2.resize(cv2.cvtColor(turned // 3, cv2.COLOR_GRAY2BGR), None, fx=2.0, fy=2.0)
-    for x_px, row, n in zip(peaks.x_px, peaks.row, stripes.peak_stripe, strict=True):
-        cv2.circle(picture, (int(2.0 * x_px + 0.5), int(2.0 * row + 1.0)), 1, _colour(int(n) + 1), -1)
-    for at, n in zip(verdict.pieces, verdict.given, strict=True):
-        middle = at[at.size // 2]
-        place = (int(2.0 * peaks.x_px[middle]) + 6, int(2.0 * peaks.row[middle]))
-        cv2.putText(picture, str(n) if n else "?", place, 0, 0.8, (255, 255, 255), 2)
-    cv2.imwrite(str(path), picture)
-
-
-def _colour(number: int) -> tuple[int, ...]:
-    if number <= 0:
-        return (150, 150, 150)
-    hue = np.array([[[(number * 67) % 180, 200, 255]]], np.uint8)
-    return tuple(int(v) for v in cv2.cvtColor(hue, cv2.COLOR_HSV2BGR)[0, 0])

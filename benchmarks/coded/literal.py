@@ -70,8 +70,6 @@ def _chains(bodies: list[Integers], peaks: Peaks) -> list[Integers]:
 class Literal(Coder[BridgingOptions]):
     """Codes by interruption and order."""
 
-    Options = BridgingOptions
-
     def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
         """Code the peaks of one frame of a calibrated camera; refuse what `window-tracking` refuses."""
         assert calibration is not None

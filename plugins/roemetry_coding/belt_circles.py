@@ -40,7 +40,6 @@ _HALVES_MIN = 4
 class BeltCircles(Aligner[AlignerOptions]):
     """Fits a small motion of the camera to the belt's circles."""
 
-    Options = AlignerOptions
     capabilities = Capabilities(pattern="circles")
 
     def align(

@@ -55,7 +55,6 @@ _LIGHT = Light("dots", "their calibrated places", "pattern's sides")
 class BeltDots(Aligner[AlignerOptions]):
     """Fits a small motion of the camera to the dots on the belt."""
 
-    Options = AlignerOptions
     capabilities = Capabilities(pattern="dots")
 
     def align(

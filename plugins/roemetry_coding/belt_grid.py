@@ -54,7 +54,6 @@ _APART, _APART_PX = 5.0, 0.5
 class BeltGrid(Aligner[AlignerOptions]):
     """Fits a small motion of the camera to both families of a grid's lines on the belt."""
 
-    Options = AlignerOptions
     capabilities = Capabilities(pattern="grid")
 
     def align(

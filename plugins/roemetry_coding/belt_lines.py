@@ -84,8 +84,6 @@ moved alone; and of fewer in all, a slope and a step explain anything."""
 class BeltLines(Aligner[AlignerOptions]):
     """Fits a small motion of the camera to the belt's stripes."""
 
-    Options = AlignerOptions
-
     def align(
         self, peaks: Peaks, calibration: Calibration, moved: Callable[[Calibration, Alignment], Calibration]
     ) -> Alignment:

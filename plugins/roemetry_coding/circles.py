@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.records.stripes import AMBIGUOUS, UNLABELLED
 from roemetry.records.view import View
-from roemetry.stages import Capabilities, Coder, StageOptions
+from roemetry.stages import Capabilities, Coder
 from roemetry_kernels.bridging import BridgingOptions, bridged
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.consistency import keep_order, refuse_uncodable, required_calibration
@@ -85,7 +85,6 @@ of an image that was turned a tenth does by chance."""
 class CircleOrder(Coder[BridgingOptions]):
     """Labels curves by the cones that can have made them, their order and the surface's continuity."""
 
-    Options: ClassVar[type[StageOptions]] = BridgingOptions
     capabilities = Capabilities(pattern="circles")
 
     def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:

@@ -76,7 +76,6 @@ _WHITE_MAX = 0.3
 class GridPlanes(Coder[PlanesOptions]):
     """Codes each family by its planes, and asks them where they cross."""
 
-    Options = PlanesOptions
     capabilities = Capabilities(pattern="grid")
 
     def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:

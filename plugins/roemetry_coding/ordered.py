@@ -40,8 +40,6 @@ _LABELLED_SHARE_MIN = 0.4  # of the peaks: where less finds a stripe, order alon
 class Ordered(Coder[OrderedOptions]):
     """Aligns each row's peaks with the stripes, without looking at other rows."""
 
-    Options = OrderedOptions
-
     def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
         """Code the peaks of one frame.
 

@@ -55,7 +55,6 @@ _NO_BELT = "there is no calibration to know the belt from: all that is numbered 
 class Pieces(Coder[PiecesOptions]):
     """Joins broken stripes and counts them, where direction and order agree; the numbers are relative."""
 
-    Options = PiecesOptions
     capabilities = Capabilities(relative_numbers=True)
     expected_failures = MappingProxyType(
         {

@@ -60,7 +60,6 @@ class SingleOptions(BridgingOptions):
 class Single(Coder[SingleOptions]):
     """Follows one line through all rows."""
 
-    Options = SingleOptions
     capabilities = Capabilities(relative_numbers=True)  # of several stripes it follows one
     expected_failures = MappingProxyType(
         dict.fromkeys(

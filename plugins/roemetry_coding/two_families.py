@@ -44,8 +44,6 @@ _ROWS_MIN = 8
 class TwoFamilies(Coder[PlanesOptions]):
     """Codes each family by its planes, and asks whether both lie on one surface."""
 
-    Options = PlanesOptions
-
     def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
         """Code the peaks of one frame.
 

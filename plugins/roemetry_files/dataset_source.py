@@ -23,8 +23,6 @@ class DatasetSource(Source[StageOptions]):
     time, encoder count and what the set says of the camera's noise come along.
     """
 
-    Options = StageOptions
-
     def references(self, path: Path) -> Sequence[AcquisitionReference]:
         """List the items; raise DataError where there is none, or where an id stands twice."""
         data = _open(path)

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +34,6 @@ class HeightMap(Sink[HeightMapOptions]):
     0 not known, 1 seen, 2 interpolated. The image description of page 1 is JSON with scale, offset, size of a
     pixel and the belt position of the first one.
     """
-
-    Options: ClassVar[type[StageOptions]] = HeightMapOptions
 
     def write(self, run: Run) -> Sequence[Path]:
         """Write a file for each acquisition that was triangulated."""

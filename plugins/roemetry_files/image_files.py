@@ -40,8 +40,6 @@ class ImageFiles(Source[ImageFilesOptions]):
     Grey, colour and colour-with-alpha images of 8 or 16 bit are legal; alpha is left out.
     """
 
-    Options = ImageFilesOptions
-
     def references(self, path: Path) -> Sequence[AcquisitionReference]:
         """List the images, sorted by name; raise DataError where there is none."""
         files = _files(path)

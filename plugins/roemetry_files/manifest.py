@@ -44,7 +44,6 @@ class Entry:
 class Manifest(Source[StageOptions]):
     """Reads the images that a manifest names; one whose bytes have another hash than it says is refused."""
 
-    Options = StageOptions
     capabilities = Capabilities(fixture="roemetry_files.conformance:two_images")
 
     def references(self, path: Path) -> Sequence[AcquisitionReference]:

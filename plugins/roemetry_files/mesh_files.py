@@ -49,8 +49,6 @@ class MeshFiles(Sink[MeshFilesOptions]):
     Vertices are millimetres in the belt frame.
     """
 
-    Options = MeshFilesOptions
-
     def write(self, run: Run) -> Sequence[Path]:
         """Write the files of each product."""
         folder = run.folder / "meshes"

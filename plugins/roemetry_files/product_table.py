@@ -11,7 +11,7 @@ from itertools import count, islice
 from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import IO, Any, ClassVar
+from typing import IO, Any
 
 from pydantic import Field
 
@@ -40,8 +40,6 @@ class CsvTable(Sink[CsvTableOptions]):
     An empty cell means there is no such number, and the column of reasons says why; an uncertainty that is
     not modelled is ``not stated``.
     """
-
-    Options: ClassVar[type[StageOptions]] = CsvTableOptions
 
     def write(self, run: Run) -> Sequence[Path]:
         """Write the table from the run's measurements."""
@@ -174,8 +172,6 @@ class Parquet(Sink[ParquetOptions]):
     one file of a data set by day, which DuckDB, pandas and Polars read as one table; written again, it takes
     its own place. Rows go through memory in blocks, however many there are.
     """
-
-    Options: ClassVar[type[StageOptions]] = ParquetOptions
 
     def write(self, run: Run) -> Sequence[Path]:
         """Write the table from the run's measurements."""

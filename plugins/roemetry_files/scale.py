@@ -39,7 +39,6 @@ class Scale(Weigher[ScaleOptions]):
     the visible one, and a reason that says so.
     """
 
-    Options: ClassVar[type[StageOptions]] = ScaleOptions
     capabilities = Capabilities(fixture="roemetry_files.scale:scale_options")
     expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType(
         {

@@ -16,22 +16,15 @@ _STEP_MAX = 1.5  # rows; a larger step between neighbours means that rows are mi
 
 
 class BodyCurves(NamedTuple):
-    """A product's points in a line: slice after slice, down the rows, cut where rows are missing.
-
-    Attributes
-    ----------
-    slice, point : ndarray of int64, shape (n,)
-        Where each point stands in `Profiles`.
-    first : ndarray of int64, shape (curve,)
-        Index of each curve's first point in the above.
-    size : ndarray of int64, shape (curve,)
-        Number of points of each curve.
-    """
+    """A product's points in a line: slice after slice, down the rows, cut where rows are missing."""
 
     slice: Integers
     point: Integers
+    """slice, point: (n,) where each point stands in `Profiles`."""
     first: Integers
+    """(curve,) index of each curve's first point in the above."""
     size: Integers
+    """(curve,) number of points of each curve."""
 
 
 def body_curves(profiles: Profiles, number: int) -> BodyCurves:

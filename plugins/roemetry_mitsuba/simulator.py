@@ -56,8 +56,6 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
     Left out: motion during the exposure, planes that are cones, caustics, polarisation.
     """
 
-    Options = MitsubaOptions
-
     def __init__(self, options: MitsubaOptions | None = None) -> None:
         super().__init__(options)
         mitsuba()  # what is missing is said before anything is drawn

@@ -35,7 +35,6 @@ class MeshOptions(StageOptions):
 class SurfaceMesh(VolumeEstimator[MeshOptions]):
     """V = ∮ z dA over a closed mesh that stands on the belt."""
 
-    Options = MeshOptions
     capabilities = Capabilities(relative_tolerance=0.05)
 
     @property

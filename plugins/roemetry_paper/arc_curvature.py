@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from roemetry.records import Grade, Marks, Product, Reason
+from roemetry.records import Grade, ImageArrows, Product, Reason
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Classifier, StageOptions
 from roemetry_kernels.compiling import kernel
@@ -108,8 +108,6 @@ class ArcCurvature(Classifier[ArcCurvatureOptions]):
     where no curve is long enough for one circle.
     """
 
-    Options: ClassVar[type[StageOptions]] = ArcCurvatureOptions
-
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Grade one product; `rng` is not used, since no error of the rule itself is modelled."""
         curves = body_curves(product.profiles, product.number)
@@ -134,7 +132,7 @@ class ArcCurvature(Classifier[ArcCurvatureOptions]):
                 f"smallest_concave_radius_{unit}": smallest if math.isfinite(smallest) else math.nan,
             },
             reasons=(_reason(arcs, options),),
-            marks=_marks(arcs, unit),
+            arrows=_arrows(arcs, unit),
         )
 
 
@@ -279,10 +277,10 @@ def _are(count: int) -> str:
     return "is" if count == 1 else "are"
 
 
-def _marks(arcs: _Arcs, unit: str) -> Marks:
+def _arrows(arcs: _Arcs, unit: str) -> ImageArrows:
     known = np.isfinite(arcs.radius) & np.isfinite(arcs.centre_px).all(axis=1)
     drawn = slice(None) if known.all() else known
-    return Marks(
+    return ImageArrows(
         kind="centre of arc",
         unit=unit,
         stripe=arcs.stripe[drawn],

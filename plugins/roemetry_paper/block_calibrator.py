@@ -50,7 +50,6 @@ _EXTRAPOLATED_SHARE_MAX = 0.15
 class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
     """Ω of each stripe and one scale, from images of a block and of the empty belt."""
 
-    Options = BlockCalibratorOptions
     capabilities = Capabilities(tolerance_px=0.01, relative_tolerance=0.001)
 
     def calibrate(self, observed: CalibrationSet) -> Calibration:

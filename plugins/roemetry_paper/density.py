@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -37,8 +36,6 @@ class Density(Weigher[DensityOptions]):
     independent causes, u² = (ρ·u_V)² + (V·u_ρ)² (JCGM 100, 5.1.2), with the volume's budget carried over
     cause by cause, in grams, and the density's part added to it.
     """
-
-    Options: ClassVar[type[StageOptions]] = DensityOptions
 
     @property
     def states_model_error(self) -> bool:

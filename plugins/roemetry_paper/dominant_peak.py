@@ -80,7 +80,6 @@ class DominantPeak(Extractor[DominantPeakOptions]):
     - The threshold is fixed: stripes dimmer than it are lost. ``threshold: auto`` mends this.
     """
 
-    Options: ClassVar[type[StageOptions]] = DominantPeakOptions
     capabilities = Capabilities(tolerance_px=0.55, saturated_tolerance_px=3.0)
     expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType(
         {
@@ -120,31 +119,22 @@ def as_peaks(frame: Frame, scan: Scan) -> Peaks:
 
 
 class Scan(NamedTuple):
-    """What a scan found, one element a peak, sorted by row, then x: the fields of `Peaks` it can fill.
-
-    Attributes
-    ----------
-    row : ndarray of int64, shape (peak,)
-        Image row.
-    x_px : ndarray of float64, shape (peak,)
-        Position along the row, px.
-    amplitude : ndarray of float64, shape (peak,)
-        Grey levels above `background`: by so much the peak rises above the valleys on both sides.
-    background : ndarray of float64, shape (peak,)
-        Grey level of the higher of the two valleys; a valley is the lowest level between a peak and its
-        neighbour, or the image border.
-    width_px : ndarray of float64, shape (peak,)
-        Full width at half of the amplitude, px; NaN where the amplitude is 0.
-    flags : ndarray of uint8, shape (peak,)
-        Sum of `SATURATED` (at the white level) and `EDGE` (within 2 px of the left or right border pixel).
-    """
+    """What a scan found, one element a peak, sorted by row, then x: the fields of `Peaks` it can fill."""
 
     row: Integers
+    """(peak,) image row."""
     x_px: Floats
+    """(peak,) position along the row, px."""
     amplitude: Floats
+    """(peak,) grey levels above `background`: by so much the peak rises above the valleys on both sides."""
     background: Floats
+    """(peak,) grey level of the higher of the two valleys; a valley is the lowest level between a peak and
+    its neighbour, or the image border."""
     width_px: Floats
+    """(peak,) full width at half of the amplitude, px; NaN where the amplitude is 0."""
     flags: Bytes
+    """(peak,) sum of `SATURATED` (at the white level) and `EDGE` (within 2 px of the left or right border
+    pixel)."""
 
 
 def dominant_peaks(image: Pixels, threshold: int, *, lowest: bool, white: int) -> Scan:

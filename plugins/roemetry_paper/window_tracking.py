@@ -91,8 +91,6 @@ _CLEARLY_LONGER = 3  # times as many rows: which of two segments in one row is t
 class WindowTracking(Coder[WindowTrackingOptions]):
     """Follows, cuts, numbers by order, refuses doubt, bridges short gaps."""
 
-    Options = WindowTrackingOptions
-
     def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
         """Code the peaks of one frame.
 

@@ -19,7 +19,7 @@ Source: Fisher scoring as in Rao (1973), Linear Statistical Inference, 5g; the u
 from __future__ import annotations
 
 import math
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -83,7 +83,6 @@ class DotCentresOptions(StageOptions):
 class DotCentres(Extractor[DotCentresOptions]):
     """Fits an elliptical Gaussian to each dot, weighted by each pixel's noise."""
 
-    Options: ClassVar[type[StageOptions]] = DotCentresOptions
     capabilities = Capabilities(tolerance_px=0.02, saturated_tolerance_px=0.3, pattern="dots")
 
     def extract(self, frame: Frame) -> Peaks:

@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import ClassVar
 
 import numpy as np
 
@@ -75,7 +74,6 @@ OUTLINE = "outline"
 class DotSurface(VolumeEstimator[StageOptions]):
     """Integrates the likeliest surface through points and outline over the footprint."""
 
-    Options: ClassVar[type[StageOptions]] = StageOptions
     capabilities = Capabilities(relative_tolerance=0.05)
 
     @property

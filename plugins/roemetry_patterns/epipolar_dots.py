@@ -20,7 +20,7 @@ neighbours confirm.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -89,7 +89,6 @@ class EpipolarDotsOptions(StageOptions):
 class EpipolarDots(Coder[EpipolarDotsOptions]):
     """Labels dots by the rays of the calibration."""
 
-    Options: ClassVar[type[StageOptions]] = EpipolarDotsOptions
     capabilities = Capabilities(pattern="dots")
 
     def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:

@@ -17,7 +17,6 @@ ours.
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -25,7 +24,7 @@ from pydantic import Field
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats
 from roemetry.records.stripes import EDGE
-from roemetry.stages import Capabilities, StageOptions
+from roemetry.stages import Capabilities
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_peaks.finding import PeakOptions, found
 from roemetry_peaks.peak_scan import Pixels
@@ -50,7 +49,6 @@ class CentreOfGravityOptions(PeakOptions):
 class CentreOfGravity(RowExtractor[CentreOfGravityOptions]):
     """Takes the centre of gravity of the grey levels above the background, in a window around it."""
 
-    Options: ClassVar[type[StageOptions]] = CentreOfGravityOptions
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
 
     def extract(self, frame: Frame) -> Peaks:

@@ -19,7 +19,7 @@ It fails where circles stand nearer together than three of their widths. Source:
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -64,7 +64,6 @@ class CircleCurvesOptions(StageOptions):
 class CircleCurves(Extractor[CircleCurvesOptions]):
     """Traces the halves of circles across rows, as far as rows tell where they are."""
 
-    Options: ClassVar[type[StageOptions]] = CircleCurvesOptions
     capabilities = Capabilities(tolerance_px=0.1, saturated_tolerance_px=0.3, pattern="circles")
 
     def extract(self, frame: Frame) -> Peaks:

@@ -23,13 +23,11 @@ Source: Guo (2011), IEEE Signal Processing Magazine 28(5):134–137; the speckle
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats
-from roemetry.stages import Capabilities, StageOptions
+from roemetry.stages import Capabilities
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_peaks.finding import PeakOptions, found
 from roemetry_peaks.peak_scan import Pixels, copied
@@ -47,7 +45,6 @@ class GaussianOptions(PeakOptions):
 class Gaussian(RowExtractor[GaussianOptions]):
     """Fits a Gaussian by weighted least squares on the logarithms of the grey levels."""
 
-    Options: ClassVar[type[StageOptions]] = GaussianOptions
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
 
     def extract(self, frame: Frame) -> Peaks:

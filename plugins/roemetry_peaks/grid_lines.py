@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -79,7 +79,6 @@ class GridLinesOptions(StageOptions):
 class GridLines(Extractor[GridLinesOptions]):
     """Takes the light of each family away before it measures the other."""
 
-    Options: ClassVar[type[StageOptions]] = GridLinesOptions
     capabilities = Capabilities(tolerance_px=0.1, saturated_tolerance_px=0.3, pattern="grid")
 
     def extract(self, frame: Frame) -> Peaks:

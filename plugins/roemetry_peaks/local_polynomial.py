@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -59,8 +59,6 @@ class LocalPolynomialOptions(StageOptions):
 
 class LocalPolynomial(Smoother[LocalPolynomialOptions]):
     """Puts a line, bent as a wider window is, through the rows around each; stops at breaks and steps."""
-
-    Options: ClassVar[type[StageOptions]] = LocalPolynomialOptions
 
     def smooth(self, stripes: StripeMap) -> StripeMap:
         """Smooth what was seen; bridged points and labels stay as they are."""

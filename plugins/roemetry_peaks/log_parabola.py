@@ -26,7 +26,7 @@ vector instructions.
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -34,7 +34,7 @@ from pydantic import Field
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats
 from roemetry.records.stripes import EDGE, SATURATED
-from roemetry.stages import Capabilities, StageOptions
+from roemetry.stages import Capabilities
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_peaks.finding import PeakOptions, found
 from roemetry_peaks.peak_scan import Pixels, copied
@@ -54,7 +54,6 @@ class LogParabolaOptions(PeakOptions):
 class LogParabola(RowExtractor[LogParabolaOptions]):
     """Takes the top of the parabola through the logarithms of three or five pixels."""
 
-    Options: ClassVar[type[StageOptions]] = LogParabolaOptions
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
 
     def extract(self, frame: Frame) -> Peaks:

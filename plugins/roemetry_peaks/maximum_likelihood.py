@@ -40,7 +40,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +48,7 @@ from pydantic import Field
 
 from roemetry.records import EDGE, SATURATED, Frame, Peaks, Reason
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry.stages import Capabilities, Extractor
 from roemetry_kernels.compiling import float_kernel
 from roemetry_kernels.image_levels import (
     SHARE_MIN,
@@ -139,7 +139,6 @@ class MaximumLikelihoodOptions(SearchOptions):
 class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
     """Fits a Gaussian's centre, height and width to each row's stripe, weighted by each pixel's noise."""
 
-    Options: ClassVar[type[StageOptions]] = MaximumLikelihoodOptions
     capabilities = Capabilities(tolerance_px=0.02, saturated_tolerance_px=0.1)
 
     def extract(self, frame: Frame) -> Peaks:

@@ -33,19 +33,14 @@ _PEAKS_A_ROW = 32  # room made at first
 
 
 class Tops(NamedTuple):
-    """Tops of peaks, sorted by row, then column.
-
-    Attributes
-    ----------
-    row : ndarray of int32, shape (peak,)
-        Image row.
-    first, last : ndarray of int32, shape (peak,)
-        Columns of the first and the last pixel of the top: the same unless it is a plateau.
-    """
+    """Tops of peaks, sorted by row, then column."""
 
     row: Places
+    """(peak,) image row."""
     first: Places
     last: Places
+    """first, last: (peak,) columns of the first and the last pixel of the top: the same unless it is a
+    plateau."""
 
 
 def stripe_tops(image: Pixels, threshold: int, area: Area) -> Tops:

@@ -45,38 +45,27 @@ _ONE = np.uint64(1)  # unsigned, which no index from the end can be
 
 
 class Stripes(NamedTuple):
-    """Stripes that cross image rows, measured roughly, sorted by row, then column; one element a peak.
-
-    Attributes
-    ----------
-    row : ndarray of int64, shape (peak,)
-        Image row.
-    lo, hi : ndarray of int32, shape (peak,)
-        First and last column that belong to no neighbouring stripe.
-    flags : ndarray of uint8, shape (peak,)
-        `SATURATED` and `EDGE` of `roemetry.records.stripes`.
-    middle : ndarray of float64, shape (peak,)
-        Middle between the crossings of half height, px.
-    width : ndarray of float64, shape (peak,)
-        Full width there, px.
-    amplitude : ndarray of float64, shape (peak,)
-        Highest grey level above the background.
-    background, slope : ndarray of float64, shape (peak,)
-        Grey level of the background at `middle`, and its slope, grey levels per px.
-    unsure : ndarray of float64, shape (peak,)
-        (variance of the slope) / (variance of a background pixel), 1/px².
-    """
+    """Stripes that cross image rows, measured roughly, sorted by row, then column; one element a peak."""
 
     row: NDArray[np.int64]
+    """(peak,) image row."""
     lo: Places
     hi: Places
+    """lo, hi: (peak,) first and last column that belong to no neighbouring stripe."""
     flags: NDArray[np.uint8]
+    """(peak,) `SATURATED` and `EDGE` of `roemetry.records.stripes`."""
     middle: Floats
+    """(peak,) middle between the crossings of half height, px."""
     width: Floats
+    """(peak,) full width there, px."""
     amplitude: Floats
+    """(peak,) highest grey level above the background."""
     background: Floats
     slope: Floats
+    """background, slope: (peak,) grey level of the background at `middle`, and its slope, grey levels per px.
+    """
     unsure: Floats
+    """(peak,) (variance of the slope) / (variance of a background pixel), 1/px²."""
 
 
 class Rows(NamedTuple):

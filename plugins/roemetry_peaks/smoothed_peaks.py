@@ -42,37 +42,26 @@ Pixels = NDArray[Any]
 
 
 class Starts(NamedTuple):
-    """Where fits can start, one element a peak, sorted by row, then x.
-
-    Attributes
-    ----------
-    row : ndarray of int64, shape (peak,)
-        Image row.
-    x_px : ndarray of float64, shape (peak,)
-        Middle of the crossings of half height, px.
-    amplitude : ndarray of float64, shape (peak,)
-        Height above the valleys, grey levels.
-    sigma_px : ndarray of float64, shape (peak,)
-        Standard deviation of the Gaussian of that width, the smoothing taken off, px.
-    level : ndarray of float64, shape (peak,)
-        Mean grey level of the two valleys.
-    core_px, core_width_px : ndarray of float64, shape (peak,)
-        Middle of the chord high up, where a halo tells little, and its width, px.
-    core2_px2 : ndarray of float64, shape (peak,)
-        σ²_high, px².
-    core_std_px : ndarray of float64, shape (peak,)
-        Standard uncertainty of that middle if there is a halo, px.
-    """
+    """Where fits can start, one element a peak, sorted by row, then x."""
 
     row: Integers
+    """(peak,) image row."""
     x_px: Floats
+    """(peak,) middle of the crossings of half height, px."""
     amplitude: Floats
+    """(peak,) height above the valleys, grey levels."""
     sigma_px: Floats
+    """(peak,) standard deviation of the Gaussian of that width, the smoothing taken off, px."""
     level: Floats
+    """(peak,) mean grey level of the two valleys."""
     core_px: Floats
     core_width_px: Floats
+    """core_px, core_width_px: (peak,) middle of the chord high up, where a halo tells little, and its width,
+    px."""
     core2_px2: Floats
+    """(peak,) σ²_high, px²."""
     core_std_px: Floats
+    """(peak,) standard uncertainty of that middle if there is a halo, px."""
 
 
 def background_noise(image: Pixels) -> float:
@@ -319,29 +308,22 @@ _HOT = 6.0  # a pixel so many standard deviations above the others of its side i
 
 
 class Beside(NamedTuple):
-    """What the rows around each peak say of its stripe, one element a peak.
-
-    Attributes
-    ----------
-    sigma_px : ndarray of float64, shape (peak,)
-        Standard deviation, px, root mean square over the rows.
-    amplitude : ndarray of float64, shape (peak,)
-        Height at that width, grey levels.
-    height, slope : ndarray of float64, shape (peak,)
-        The light beside the stripe at the peak's x, grey levels, and its growth, grey levels per px.
-    up, down : ndarray of int64, shape (peak,)
-        The same stripe's peak in the row above and in the row below; −1 for none.
-    halo : ndarray of bool, shape (peak,)
-        Whether the stripe is a core in a halo: then its width is the core's, and the halo is light beside it.
-    """
+    """What the rows around each peak say of its stripe, one element a peak."""
 
     sigma_px: Floats
+    """(peak,) standard deviation, px, root mean square over the rows."""
     amplitude: Floats
+    """(peak,) height at that width, grey levels."""
     height: Floats
     slope: Floats
+    """height, slope: (peak,) the light beside the stripe at the peak's x, grey levels, and its growth, grey
+    levels per px."""
     up: Integers
     down: Integers
+    """up, down: (peak,) the same stripe's peak in the row above and in the row below; −1 for none."""
     halo: Flags
+    """(peak,) whether the stripe is a core in a halo: then its width is the core's, and the halo is light
+    beside it."""
 
 
 @kernel

@@ -24,7 +24,7 @@ of a ridge, and the first and last rows, are ours.
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,7 @@ from pydantic import Field
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats, Integers
 from roemetry.records.stripes import EDGE, SATURATED
-from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry.stages import Capabilities, Extractor
 from roemetry_kernels.compiling import inlined, kernel
 from roemetry_kernels.image_levels import (
     SHARE_MIN,
@@ -68,7 +68,6 @@ class StegerOptions(SearchOptions):
 class Steger(Extractor[StegerOptions]):
     """Finds ridges by the Hessian of the smoothed image and follows each to the row's own height."""
 
-    Options: ClassVar[type[StageOptions]] = StegerOptions
     capabilities = Capabilities(tolerance_px=0.12, saturated_tolerance_px=0.2)
 
     def extract(self, frame: Frame) -> Peaks:

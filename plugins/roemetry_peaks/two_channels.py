@@ -12,13 +12,13 @@ more of the other colour than a dark line of its own is bright. Source: our own.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Flags
-from roemetry.stages import Capabilities, Extractor, StageOptions
+from roemetry.stages import Capabilities, Extractor
 from roemetry_peaks.gaussian import Gaussian, GaussianOptions
 
 _NEAR_PX = 2.0
@@ -33,7 +33,6 @@ _APART_PX = 1e-6
 class TwoChannels(Extractor[GaussianOptions]):
     """Finds the lines of each family in its channel."""
 
-    Options: ClassVar[type[StageOptions]] = GaussianOptions
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
 
     def rows_apart(self) -> int:

@@ -16,7 +16,7 @@ Source: Blais, Rioux (1986), Real-time numerical peak detector, Signal Processin
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -24,7 +24,7 @@ from pydantic import Field
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats
 from roemetry.records.stripes import EDGE
-from roemetry.stages import Capabilities, StageOptions
+from roemetry.stages import Capabilities
 from roemetry_kernels.compiling import float_kernel, inlined
 from roemetry_peaks.finding import PeakOptions, found
 from roemetry_peaks.peak_scan import Pixels
@@ -48,7 +48,6 @@ class ZeroCrossingOptions(PeakOptions):
 class ZeroCrossing(RowExtractor[ZeroCrossingOptions]):
     """Finds where the sum of the pixels to the right equals that of those to the left."""
 
-    Options: ClassVar[type[StageOptions]] = ZeroCrossingOptions
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
 
     def extract(self, frame: Frame) -> Peaks:

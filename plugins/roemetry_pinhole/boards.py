@@ -216,7 +216,7 @@ _CIRCLE_AREA_MIN_PX = 12.0  # area of a circle, px²: below it, its centre is kn
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Marks:
+class BoardMarks:
     """Marks of a board found in one image."""
 
     board_mm: Floats
@@ -234,7 +234,7 @@ class Marks:
     """Of a grid's circles, estimated from their area in the image; 0 for other boards."""
 
 
-def find_marks(frame: Frame, board: Board) -> Marks:
+def find_marks(frame: Frame, board: Board) -> BoardMarks:
     """Find a board.
 
     Raises
@@ -279,7 +279,7 @@ def find_marks(frame: Frame, board: Board) -> Marks:
             f"the corners do not lie as on a board of {board.columns} × {board.rows}: "
             f"they are {off_px:.1f} px off; is it another board? Correct `board`, or leave the image out"
         )
-    return Marks(board_mm, xy_px, layout, edge_px, spacing_px, radius_mm)
+    return BoardMarks(board_mm, xy_px, layout, edge_px, spacing_px, radius_mm)
 
 
 def _charuco(grey: NDArray[np.uint8], board: Board) -> tuple[Floats, Floats, str]:
@@ -443,7 +443,7 @@ class BoardView:
     """The board in one pose."""
 
     name: str
-    marks: Marks
+    marks: BoardMarks
     """name, marks: of the image in which its marks were found, and these."""
     laser: Observation | None
     plain: Observation | None
@@ -526,7 +526,7 @@ def on_even_print(peaks: Peaks, plain: Frame, contrast_max: float) -> Flags:
     return np.asarray((high - low) <= contrast_max * (high + low) + _UNEVEN_NOISE * plain.white)
 
 
-def _marks(images: list[Observation], board: Board, seen: Seen) -> tuple[str, Marks] | None:
+def _marks(images: list[Observation], board: Board, seen: Seen) -> tuple[str, BoardMarks] | None:
     for image in images:
         try:
             return image.frame.name, find_marks(image.frame, board)
@@ -540,7 +540,7 @@ _SAME_POSE_PX = 1.0
 moves it by some tenths of a pixel, and a hand that holds a board by several."""
 
 
-def _elsewhere(plain: Observation, laser: Observation, board: Board, marks: Marks) -> Marks | None:
+def _elsewhere(plain: Observation, laser: Observation, board: Board, marks: BoardMarks) -> BoardMarks | None:
     """Give the marks in a pose's laser image where the board is not where its laser-off image shows it."""
     if plain_is_under(plain.frame, laser.frame, marks):
         return None  # and the search of a board that stripes cross, which takes longest, is not needed
@@ -551,7 +551,7 @@ def _elsewhere(plain: Observation, laser: Observation, board: Board, marks: Mark
     return found if _apart_px(marks, found) > _SAME_POSE_PX else None
 
 
-def plain_is_under(plain: Frame, laser: Frame, marks: Marks) -> bool:
+def plain_is_under(plain: Frame, laser: Frame, marks: BoardMarks) -> bool:
     """Say whether nothing on the board is darker with the laser on than with it off.
 
     A laser only adds light. A board that has moved by 1 px is darker along half of its print's edges: on
@@ -567,7 +567,7 @@ def plain_is_under(plain: Frame, laser: Frame, marks: Marks) -> bool:
     return bool(darker < 0.1 / marks.spacing_px)
 
 
-def _apart_px(one: Marks, other: Marks) -> float:
+def _apart_px(one: BoardMarks, other: BoardMarks) -> float:
     """Give the median distance of marks that both images show, px; NaN where there are none."""
     at = {tuple(place): px for place, px in zip(np.round(other.board_mm, 3), other.xy_px, strict=True)}
     places = [tuple(place) for place in np.round(one.board_mm, 3)]

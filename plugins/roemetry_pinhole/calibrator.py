@@ -116,7 +116,6 @@ class PinholeCalibratorOptions(BoardOptions):
 class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
     """Camera, lens, a plane of light for each stripe, and the belt, from a board in many poses."""
 
-    Options = PinholeCalibratorOptions
     capabilities = Capabilities(
         tolerance_px=0.1, relative_tolerance=0.01, fixture="roemetry_pinhole.conformance:observed_of"
     )

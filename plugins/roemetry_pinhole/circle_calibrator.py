@@ -21,22 +21,15 @@ from roemetry.records import EDGE, SATURATED, WIDE, CalibrationSet, Observation
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Calibrator, Capabilities
-from roemetry_pinhole.boards import Seen, board_views, on_board, on_even_print
+from roemetry_pinhole.boards import on_board, on_even_print
 from roemetry_pinhole.bundle import Adjusted
 from roemetry_pinhole.calibrator import BoardOptions
 from roemetry_pinhole.circle_numbers import BeltCircles, on_belt, on_boards
 from roemetry_pinhole.cones import ANGLES, AXIS, LIGHT, METHOD, derived
 from roemetry_pinhole.dot_rays import surface_of
-from roemetry_pinhole.geometry import CAMERA, ON_BELT, Geometry, rays
-from roemetry_pinhole.initial_intrinsics import (
-    InitialCamera,
-    belt_under,
-    boards_alone,
-    free_numbers,
-    initial_camera,
-)
-from roemetry_pinhole.joint_adjustment import poses_tried
-from roemetry_pinhole.known_files import read_camera
+from roemetry_pinhole.geometry import ON_BELT, Geometry, rays
+from roemetry_pinhole.initial_intrinsics import InitialCamera, belt_under
+from roemetry_pinhole.joint_adjustment import marks_alone
 from roemetry_pinhole.pinhole_plane import belt_pose
 
 _EVERY = 3
@@ -64,7 +57,6 @@ class PinholeCirclesOptions(BoardOptions):
 class PinholeCirclesCalibrator(Calibrator[PinholeCirclesOptions]):
     """Camera, lens, concentric cones of light, and the belt, from a board in many poses."""
 
-    Options = PinholeCirclesOptions
     capabilities = Capabilities(pattern="circles", fixture="roemetry_pinhole.conformance:circles_observed_of")
 
     def calibrate(self, observed: CalibrationSet) -> Calibration:
@@ -77,28 +69,15 @@ class PinholeCirclesCalibrator(Calibrator[PinholeCirclesOptions]):
             circles on the belt; circles on boards that are not the belt's, or do not agree.
         """
         options = self.options
-        if observed.board is None:
-            raise CalibrationError("no board is described", hint="add `board:` to the rig file")
-        belts = observed.showing("belt")
-        if not belts:
-            raise CalibrationError("there is no image of the empty belt", hint="name one in images.belt")
         if observed.stripe_count % 2:
             raise CalibrationError(
                 f"{observed.stripe_count} stripes are not the halves of circles",
                 hint="give the rig a pattern of kind circles, or an even number of stripes",
             )
-        size = observed.observations[0].frame.size
-        seen = Seen()
-        board_views(observed, seen)
-        known = None if options.camera is None else read_camera(options.camera)
-        free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(options.lens)
-        first = initial_camera(seen, size, options.lens, known, poses_tried(observed))
-        if not any(view.on_belt for view in first.views):
-            raise CalibrationError(
-                "nothing shows where the belt is",
-                hint="lay the board on the belt and name the image in images.board_on_belt",
-            )
-        marks = boards_alone(first, free, contacts=True).adjusted()
+        seen, first, marks = marks_alone(observed, options.lens, options.camera)
+        size, belts = observed.observations[0].frame.size, observed.showing("belt")
+        board = observed.board
+        assert board is not None
         points, start = self._points(first, belts, observed.stripe_count // 2)
         found = _adjusted(marks, points, start)
         left_out = 1.0 - float(found.used.mean())
@@ -136,7 +115,7 @@ class PinholeCirclesCalibrator(Calibrator[PinholeCirclesOptions]):
                 "circles_left_out": left_out,
                 "heights_rms_mm": float(np.sqrt(np.nanmean(off**2))),
             },
-            target={"kind": observed.board.kind, "name": observed.board.name, "poses": len(first.views)},
+            target={"kind": board.kind, "name": board.name, "poses": len(first.views)},
             extractor=dict(observed.extractor),
             notes=(*seen.notes, *(f"not used: {name}: {why}" for name, why in seen.left_out.items())),
             **made,

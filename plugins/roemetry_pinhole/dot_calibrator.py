@@ -14,7 +14,7 @@ from roemetry.records.arrays import Flags, Floats
 from roemetry.records.calibration import Calibration
 from roemetry.records.light import meet
 from roemetry.stages import Calibrator, Capabilities
-from roemetry_pinhole.boards import Seen, board_views, on_board, on_even_print
+from roemetry_pinhole.boards import on_board, on_even_print
 from roemetry_pinhole.calibrator import BoardOptions
 from roemetry_pinhole.dot_lattice import numbered_on_boards, on_belt
 from roemetry_pinhole.dot_rays import (
@@ -26,16 +26,9 @@ from roemetry_pinhole.dot_rays import (
     rest_lines,
     view_of,
 )
-from roemetry_pinhole.geometry import CAMERA, ON_BELT, rays
-from roemetry_pinhole.initial_intrinsics import (
-    InitialCamera,
-    belt_under,
-    boards_alone,
-    free_numbers,
-    initial_camera,
-)
-from roemetry_pinhole.joint_adjustment import poses_tried
-from roemetry_pinhole.known_files import read_camera
+from roemetry_pinhole.geometry import ON_BELT, rays
+from roemetry_pinhole.initial_intrinsics import InitialCamera, belt_under
+from roemetry_pinhole.joint_adjustment import marks_alone
 from roemetry_pinhole.pinhole_plane import belt_pose
 
 _ADDED_STD_PX = 0.02  # of every dot, beside its stated error: print and paper are not quite even
@@ -58,7 +51,6 @@ class PinholeDotsOptions(BoardOptions):
 class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
     """Camera, lens, a ray of light for each dot, and the belt, from a board in many poses."""
 
-    Options = PinholeDotsOptions
     capabilities = Capabilities(pattern="dots", fixture="roemetry_pinhole.conformance:dots_observed_of")
 
     def calibrate(self, observed: CalibrationSet) -> Calibration:
@@ -71,25 +63,12 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
             the pattern's, that cannot be numbered or do not agree; with what was left out and why.
         """
         options, count = self.options, observed.stripe_count * self.options.lines
-        if observed.board is None:
-            raise CalibrationError("no board is described", hint="add `board:` to the rig file")
-        belts = observed.showing("belt")
-        if not belts:
-            raise CalibrationError("there is no image of the empty belt", hint="name one in images.belt")
         if any(one.peaks.dots is None for one in observed.observations if one.frame.role == "laser"):
             raise CalibrationError("the extractor finds lines, not dots", hint="set `extractor: dots`")
-        seen = Seen()
-        board_views(observed, seen)
-        size = observed.observations[0].frame.size
-        known = None if options.camera is None else read_camera(options.camera)
-        free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(options.lens)
-        first = initial_camera(seen, size, options.lens, known, poses_tried(observed))
-        if not any(view.on_belt for view in first.views):
-            raise CalibrationError(
-                "nothing shows where the belt is",
-                hint="lay the board on the belt and name the image in images.board_on_belt",
-            )
-        marks = boards_alone(first, free, contacts=True).adjusted()
+        seen, first, marks = marks_alone(observed, options.lens, options.camera)
+        size, belts = observed.observations[0].frame.size, observed.showing("belt")
+        board = observed.board
+        assert board is not None
         points = self._points(first, belts, observed.stripe_count)
         found = adjusted_rays(marks, points, count)
         missing = int(np.isnan(found.lines[:, 0]).sum())
@@ -127,7 +106,7 @@ class PinholeDotsCalibrator(Calibrator[PinholeDotsOptions]):
                 "rays_missing": float(missing),
                 "heights_rms_mm": float(np.sqrt((off**2).mean())),
             },
-            target={"kind": observed.board.kind, "name": observed.board.name, "poses": len(first.views)},
+            target={"kind": board.kind, "name": board.name, "poses": len(first.views)},
             extractor=dict(observed.extractor),
             notes=(
                 *seen.notes,

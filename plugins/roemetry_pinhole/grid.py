@@ -63,7 +63,6 @@ class PinholeGridOptions(BoardOptions):
 class PinholeGridCalibrator(Calibrator[PinholeGridOptions]):
     """Camera, lens, a plane of light for each line of both families, and the belt."""
 
-    Options = PinholeGridOptions
     capabilities = Capabilities(pattern="grid", fixture="roemetry_pinhole.conformance:grid_observed_of")
 
     def calibrate(self, observed: CalibrationSet) -> Calibration:
@@ -145,19 +144,7 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
         method=METHOD,
         covariance=0.5 * (whole + whole.T),
         **derived(parameters, upright.image_size),
-        residuals={
-            **upright.residuals,
-            **{f"across_{name}": figure for name, figure in across.residuals.items()},
-            "families_apart_std": off,
-        },
-        height_range_mm=(
-            max(upright.height_range_mm[0], across.height_range_mm[0]),
-            min(upright.height_range_mm[1], across.height_range_mm[1]),
-        ),
-        notes=(
-            *upright.notes,
-            *(f"lines across: {note}" for note in across.notes if note not in upright.notes),
-        ),
+        **joined_findings(upright, across, off, "across", "lines across"),
         across=replace(
             across,
             covariance=_of_lines_across(whole, upright.stripe_count, columns),
@@ -199,6 +186,17 @@ class FamilyFound(NamedTuple):
         weights = 0.5 * inverse_of_known(self.covariance), 0.5 * inverse_of_known(other.covariance)
         covariance = inverse_of_known(weights[0] + weights[1])
         return self.shared - covariance @ weights[1] @ apart, covariance, off
+
+
+def joined_findings(one: Calibration, two: Calibration, off: float, name: str, words: str) -> dict[str, Any]:
+    """Give residuals, range of heights and notes of both families; those of the second by its name."""
+    of_second = {f"{name}_{key}": figure for key, figure in two.residuals.items()}
+    lows, highs = zip(one.height_range_mm, two.height_range_mm, strict=True)
+    return {
+        "residuals": {**one.residuals, **of_second, "families_apart_std": off},
+        "height_range_mm": (max(lows), min(highs)),
+        "notes": (*one.notes, *(f"{words}: {note}" for note in two.notes if note not in one.notes)),
+    }
 
 
 def _turning(lines: int, columns: int) -> Floats:

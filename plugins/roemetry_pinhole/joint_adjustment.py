@@ -275,6 +275,34 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
     )
 
 
+def marks_alone(
+    observed: CalibrationSet, lens: str, camera_file: Path | None
+) -> tuple[Seen, InitialCamera, Adjusted]:
+    """Find camera, boards and belt by the boards' marks alone; a pattern's light is adjusted after them.
+
+    Raises
+    ------
+    CalibrationError
+        No board, too few poses, no board on the belt or no image of the empty belt.
+    """
+    if observed.board is None:
+        raise CalibrationError("no board is described", hint="add `board:` to the rig file")
+    if not observed.showing("belt"):
+        raise CalibrationError("there is no image of the empty belt", hint="name one in images.belt")
+    seen = Seen()
+    board_views(observed, seen)
+    known = None if camera_file is None else read_camera(camera_file)
+    free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(lens)
+    size = observed.observations[0].frame.size
+    first = initial_camera(seen, size, lens, known, poses_tried(observed))
+    if not any(view.on_belt for view in first.views):
+        raise CalibrationError(
+            "nothing shows where the belt is",
+            hint="lay the board on the belt and name the image in images.board_on_belt",
+        )
+    return seen, first, boards_alone(first, free, contacts=True).adjusted()
+
+
 def poses_tried(observed: CalibrationSet) -> int:
     """Give the number of poses of boards that images are named of, found or not."""
     return len({(one.shows, one.board, one.pose) for one in observed.observations if one.shows in _BOARDS})

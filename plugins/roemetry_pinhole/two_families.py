@@ -19,18 +19,13 @@ from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Calibrator, Capabilities
 from roemetry_pinhole.calibrator import BoardOptions, PinholeCalibrator, PinholeCalibratorOptions
-from roemetry_pinhole.grid import APART_MAX, FamilyFound
+from roemetry_pinhole.grid import APART_MAX, FamilyFound, joined_findings
 from roemetry_pinhole.pinhole_plane import derived, flat
 
 
-class PinholeTwoFamiliesOptions(BoardOptions):
-    """What is looked for."""
-
-
-class PinholeTwoFamiliesCalibrator(Calibrator[PinholeTwoFamiliesOptions]):
+class PinholeTwoFamiliesCalibrator(Calibrator[BoardOptions]):
     """Camera, lens, the planes of both families, and the belt."""
 
-    Options = PinholeTwoFamiliesOptions
     capabilities = Capabilities(fixture="roemetry_pinhole.conformance:two_families_observed_of")
 
     def calibrate(self, observed: CalibrationSet) -> Calibration:
@@ -108,14 +103,5 @@ def _joined(first: Calibration, second: Calibration) -> Calibration:
         first,
         covariance=0.5 * (whole + whole.T),
         **derived(parameters, first.image_size),
-        residuals={
-            **first.residuals,
-            **{f"second_{name}": figure for name, figure in second.residuals.items()},
-            "families_apart_std": off,
-        },
-        height_range_mm=(
-            max(first.height_range_mm[0], second.height_range_mm[0]),
-            min(first.height_range_mm[1], second.height_range_mm[1]),
-        ),
-        notes=(*first.notes, *(f"second colour: {one}" for one in second.notes if one not in first.notes)),
+        **joined_findings(first, second, off, "second", "second colour"),
     )

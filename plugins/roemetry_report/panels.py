@@ -19,7 +19,7 @@ from roemetry.records import (
     BELT,
     UNLABELLED,
     Frame,
-    Marks,
+    ImageArrows,
     Outline,
     Peaks,
     Profiles,
@@ -356,26 +356,26 @@ _FAR_HEIGHTS = 1.5
 
 
 def arc_panel(
-    marks: Marks, stripes: StripeMap, product: int, size: tuple[int, int], key: str
+    arrows: ImageArrows, stripes: StripeMap, product: int, size: tuple[int, int], key: str
 ) -> Panel | None:
     """Draw a product's evidence over its curves, zoomed to the product; None where there is nothing to draw.
 
     Below lies the dimmed picture ``<key>-image``, which has `size` rows and columns.
     """
-    box = _zoom(marks, stripes, product, size)
+    box = _zoom(arrows, stripes, product, size)
     if box is None:
         return None
-    length = np.hypot(*(marks.to_px - marks.from_px).T)
+    length = np.hypot(*(arrows.to_px - arrows.from_px).T)
     known = np.isfinite(length)
     drawn = known & (length <= _FAR_HEIGHTS * size[0])
-    leaving = drawn & ~_inside(marks.to_px, box)
+    leaving = drawn & ~_inside(arrows.to_px, box)
     body = [
         Markup('<use class="dim" href="#{}-image"/>').format(key),
         curves(stripes, product=product),
-        _arrows(marks, drawn & ~marks.flagged, flagged=False),
-        _arrows(marks, drawn & marks.flagged, flagged=True),
+        _arrows(arrows, drawn & ~arrows.flagged, flagged=False),
+        _arrows(arrows, drawn & arrows.flagged, flagged=True),
     ]
-    flagged = int(marks.flagged.sum())
+    flagged = int(arrows.flagged.sum())
     notes = [f"{counted(len(length), 'arrow')}, {flagged or 'none'} flagged"]
     if drawn.sum() < known.sum():
         far = int(known.sum() - drawn.sum())
@@ -386,19 +386,19 @@ def arc_panel(
         notes.append(f"{int((~known).sum())} without a place: straight there")
     if leaving.any():
         notes.append(f"{int(leaving.sum())} {'lead' if leaving.sum() > 1 else 'leads'} out of the picture")
-    title = f"Body curves, an arrow to each {marks.kind}"
-    label = f"Body curves of product {product} with arrows ({marks.kind}); {'; '.join(notes)}"
+    title = f"Body curves, an arrow to each {arrows.kind}"
+    label = f"Body curves of product {product} with arrows ({arrows.kind}); {'; '.join(notes)}"
     return Panel("", title, svg.view(body, box, label, "screen zoomed"), tuple(notes))
 
 
-def _zoom(marks: Marks, stripes: StripeMap, product: int, size: tuple[int, int]) -> Box | None:
+def _zoom(arrows: ImageArrows, stripes: StripeMap, product: int, size: tuple[int, int]) -> Box | None:
     """Give the view: the product, and the flagged centres as far as they lie in the image, with a margin."""
     stripe, row = np.nonzero(stripes.product == product)
     if not row.size:
         return None
     points = [np.column_stack([stripes.x_px[stripe, row], row.astype(np.float64)])]
     whole = (-0.5, -0.5, float(size[1]), float(size[0]))
-    points.append(marks.to_px[marks.flagged & _inside(marks.to_px, whole)])
+    points.append(arrows.to_px[arrows.flagged & _inside(arrows.to_px, whole)])
     every = np.concatenate(points)
     margin = 0.06 * max(size)
     low = np.maximum(every.min(axis=0) - margin, -0.5)
@@ -413,11 +413,11 @@ def _inside(points: Floats, box: Box) -> Flags:
     return within[:, 0] & within[:, 1]
 
 
-def _arrows(marks: Marks, which: Flags, *, flagged: bool) -> Markup:
+def _arrows(arrows: ImageArrows, which: Flags, *, flagged: bool) -> Markup:
     if not which.any():
         return Markup("")
     kind, colour = ("flagged", palette.AMBIGUOUS) if flagged else ("mark", palette.MARK)
-    ends = np.stack([marks.from_px[which], marks.to_px[which]], axis=1)
+    ends = np.stack([arrows.from_px[which], arrows.to_px[which]], axis=1)
     # An arrow head stands at the last point of a path only, so each arrow is a path of its own.
     paths = (svg.path("c", svg.polyline(*end.T)) for end in ends)
     return Markup('<g class="{}" stroke="{}">{}</g>').format(kind, colour, Markup("").join(paths))

@@ -61,8 +61,6 @@ class Report(Sink[ReportOptions]):
     record, pictures from replaying the acquisition; where that is not possible the section says why.
     """
 
-    Options = ReportOptions
-
     @property
     def replays_first(self) -> int:
         """As many acquisitions as products: most show one."""
@@ -252,8 +250,8 @@ def _product(row: Measurement, trace: Trace | None, key: str, section_key: str, 
     profiles: tuple[SmallChart, ...] = ()
     words = ""
     if trace is not None and trace.stripes is not None and trace.frame is not None:
-        if traced is not None and traced.grade is not None and traced.grade.marks is not None:
-            arcs = arc_panel(traced.grade.marks, trace.stripes, row.product, trace.frame.size, section_key)
+        if traced is not None and traced.grade is not None and traced.grade.arrows is not None:
+            arcs = arc_panel(traced.grade.arrows, trace.stripes, row.product, trace.frame.size, section_key)
         if traced is not None and traced.grade is not None and traced.grade.relief is not None:
             relief = relief_panels(traced.grade.relief)
         if traced is not None:

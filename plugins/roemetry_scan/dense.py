@@ -184,8 +184,8 @@ def budget_of(found: Sections, profiles: Profiles, number: int) -> dict[str, flo
     }
     if number < profiles.rim_mm3.size:
         budget["rim"] = float(profiles.rim_mm3[number])
-    if number < profiles.beside_mm3.size:
-        budget["not seen beside"] = _UP_TO * float(profiles.beside_mm3[number])
+    if number < profiles.unseen_margin_mm3.size:
+        budget["not seen beside"] = _UP_TO * float(profiles.unseen_margin_mm3[number])
     scan = profiles.scan
     if scan is not None:
         rise = np.diff(area, prepend=0.0, append=0.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -40,7 +40,6 @@ class HeightMaps(Source[HeightSourceOptions]):
     Where in them the belt lies, and what is product, the assembler finds.
     """
 
-    Options: ClassVar[type[StageOptions]] = HeightSourceOptions
     capabilities = Capabilities(fixture="roemetry_scan.conformance:two_height_maps")
     gives = "slices"
 
@@ -91,8 +90,6 @@ class SliceFiles(Sink[SlicesOptions]):
     Clouds keep each point's slice and place in it. Height maps hold a slice a column, each pixel with its own
     X, Y and Z. What was bridged or followed is left out: who reads the file follows it again.
     """
-
-    Options: ClassVar[type[StageOptions]] = SlicesOptions
 
     def write(self, run: Run) -> Sequence[Path]:
         """Write a file for each acquisition that was triangulated; what is gone is passed over."""

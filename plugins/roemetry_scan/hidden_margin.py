@@ -29,7 +29,7 @@ _AT_ONCE = 128
 """Slices that are looked at together: copies of all of a long scan's points are megabytes."""
 
 
-def beside_mm3(profiles: Profiles) -> Floats:
+def unseen_margin_mm3(profiles: Profiles) -> Floats:
     """Give (product + 1,) the volume that each product, by its number, may have beside its slices' ends."""
     highest = int(profiles.product.max(initial=0))
     found = np.zeros(highest + 1)
@@ -42,12 +42,12 @@ def beside_mm3(profiles: Profiles) -> Floats:
         part = slice(first, first + _AT_ONCE)
         label = profiles.product[part]
         for number in np.unique(label[label > 0]).tolist():
-            area = _beside_mm2(profiles.xyz_mm[part], label == number, label >= 0, profiles.seen[part])
+            area = _unseen_margin_mm2(profiles.xyz_mm[part], label == number, label >= 0, profiles.seen[part])
             found[number] += np.nansum(area * held_mm[part])
     return found
 
 
-def _beside_mm2(xyz_mm: Floats, mine: Flags, known: Flags, seen: Flags) -> Floats:
+def _unseen_margin_mm2(xyz_mm: Floats, mine: Flags, known: Flags, seen: Flags) -> Floats:
     """Give (slice,) the area that may lie between a product's ends and what is known beside them."""
     steps_mm = np.abs(np.diff(xyz_mm[..., 1], axis=1))
     steps_mm = steps_mm[np.isfinite(steps_mm)]

@@ -23,7 +23,7 @@ import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -32,11 +32,11 @@ from roemetry.records import Profiles, Pyramid, Reason, ScanFigures, ScanLines, 
 from roemetry.records.arrays import Flags, Floats, Labels
 from roemetry.records.calibration import Calibration
 from roemetry.records.scan import Motion
-from roemetry.stages import Assembler, StageOptions, Triangulator
+from roemetry.stages import Assembler, Triangulator
 from roemetry_scan.belt import BeltOptions, fitted_plane, frame_on, plane_of_belt, products_on
 from roemetry_scan.encoder_places import encoder_places
 from roemetry_scan.flanks import followed, usual_step
-from roemetry_scan.hidden_margin import beside_mm3
+from roemetry_scan.hidden_margin import unseen_margin_mm3
 from roemetry_scan.line_ends import line_ends, longer_by
 from roemetry_scan.motion import measured_motion
 from roemetry_scan.rim_uncertainty import rim_mm3
@@ -76,8 +76,6 @@ _STRAY_FACTOR = 2.0
 
 class BeltMotion(Assembler[BeltOptions]):
     """Places lines by encoder counts, fits the belt in the moving frame, and numbers the products."""
-
-    Options: ClassVar[type[StageOptions]] = BeltOptions
 
     def place(
         self, stripes: StripeMap, lines: ScanLines, calibration: Calibration, triangulator: Triangulator[Any]
@@ -239,7 +237,7 @@ def _with_flanks(profiles: Profiles) -> Profiles:
     found = replace(
         profiles, xyz_mm=xyz_mm, product=label, seen=profiles.seen & ~added, rim_mm=rims, flank_rel_std=doubt
     )
-    return replace(found, beside_mm3=beside_mm3(found), rim_mm3=rim_mm3(profiles, found))
+    return replace(found, unseen_margin_mm3=unseen_margin_mm3(found), rim_mm3=rim_mm3(profiles, found))
 
 
 def _lags(plane: Floats, motion: Floats, middle: int) -> Floats:

@@ -23,7 +23,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -69,7 +69,6 @@ class ScanReference(AcquisitionReference):
 class BeltScan(Source[BeltScanOptions]):
     """Reads scans of a moving belt."""
 
-    Options: ClassVar[type[StageOptions]] = BeltScanOptions
     capabilities = Capabilities(fixture="roemetry_scan.conformance:two_scans")
     gives = "lines"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -82,8 +82,6 @@ class FuzzyRules(Classifier[FuzzyRulesOptions]):
     term, a class as its truest rule. ``unknown`` is the answer where no class is true enough, or where the
     second is more than half as true as the first, or where a feature's own uncertainty makes another truest.
     """
-
-    Options: ClassVar[type[StageOptions]] = FuzzyRulesOptions
 
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Judge by rules; `rng` is not used: rules do not err."""

@@ -18,7 +18,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -130,7 +130,6 @@ class GradeTable(Grader[GradeTableOptions]):
     Between, the limit is open: the product may be of this class, or of one below.
     """
 
-    Options: ClassVar[type[StageOptions]] = GradeTableOptions
     capabilities = Capabilities(fixture="roemetry_shape.grade_table:table_options")
 
     def needs(self) -> frozenset[str]:

@@ -37,7 +37,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -89,7 +89,6 @@ class Learned(Classifier[LearnedOptions]):
     was fitted on, and where no class is likely enough.
     """
 
-    Options: ClassVar[type[StageOptions]] = LearnedOptions
     capabilities = Capabilities(fixture="roemetry_shape.learned:learned_options")
 
     @cached_property

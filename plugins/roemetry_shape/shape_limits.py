@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -53,8 +52,6 @@ class ShapeLimits(Classifier[ShapeLimitsOptions]):
 
     Without limits it measures the features and answers ``unknown``: the way to see what they are.
     """
-
-    Options: ClassVar[type[StageOptions]] = ShapeLimitsOptions
 
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Judge by limits; `rng` is not used: limits do not err."""

@@ -41,8 +41,6 @@ _STILL_CURVES = ("volume-error", "price", "spacing-height")
 class BeltPlanner(Planner[MovingBeltOptions]):
     """Plans a rig over a moving belt."""
 
-    Options = MovingBeltOptions
-
     def plan(self, *, simulate: bool) -> Plan:
         """Plan the rig; raise StageError where heights do not show in its image."""
         still = RigPlanner(self.options).plan(simulate=simulate)

@@ -61,8 +61,6 @@ class MovingBeltOptions(RayCasterOptions):
 class MovingBelt(RigSimulator[MovingBeltOptions]):
     """Makes scans: frames one below the other in one tall image, with their counts."""
 
-    Options = MovingBeltOptions
-
     def simulate(self, number: int, seed: int) -> Simulated:
         """Make one product's scan; the frames are one image of role laser, `lines` says their counts."""
         drawn = self.drawn(number, seed)

@@ -262,9 +262,10 @@ def fan_through(
 
 
 def rows_through(fan: LaserFan, lines_y_mm: ArrayLike) -> Floats:
-    """Return the `rows` of a fan that meet the line through the origin along its lines' run at these places.
+    """Return the `rows` of a fan: planes across its lines, level, that cross their run through the origin.
 
-    They run across the fan's lines, level. `lines_y_mm` increase.
+    `lines_y_mm`, increasing, are the crossings' distances from the origin along the run: Y of a fan that is
+    not turned about Z.
     """
     axis = fan.line_axis
     along = np.array([axis[0], axis[1], 0.0]) / np.hypot(axis[0], axis[1])
@@ -276,7 +277,7 @@ def rows_through(fan: LaserFan, lines_y_mm: ArrayLike) -> Floats:
 
 
 def with_across(fan: LaserFan, lines_y_mm: ArrayLike) -> LaserFan:
-    """Return the grid of a fan and of lines across it, which meet its lines' run at these places."""
+    """Return the grid of a fan and of lines across it, which cross its lines' run at `lines_y_mm`."""
     # normals point the way in which the planes are ordered, as those of the fan itself do
     planes = -rows_through(fan, np.sort(np.atleast_1d(lines_y_mm))[::-1])
     axis = np.array([fan.line_axis[1], -fan.line_axis[0], 0.0])

@@ -77,8 +77,6 @@ class RigPlanner(Planner[RayCasterOptions]):
     and size count. The plan is made along the image's middle row.
     """
 
-    Options = RayCasterOptions
-
     def plan(self, *, simulate: bool) -> Plan:
         """Plan the rig; raise StageError where heights do not show in its image."""
         scene, pattern = as_lines(self.options)

@@ -282,8 +282,6 @@ class RayCaster(RigSimulator[RayCasterOptions]):
     exposure.
     """
 
-    Options = RayCasterOptions
-
     def __init__(self, options: RayCasterOptions | None = None) -> None:
         super().__init__(options)
         # a product that cannot be, or does not fit, is told before anything is rendered

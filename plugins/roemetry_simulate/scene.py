@@ -70,12 +70,18 @@ class AcrossPart(Part):
     lines: int = Field(default=15, ge=1, le=200, description="how many")
     spacing_mm: float = Field(default=5.0, gt=0, le=1000, description="between them on the belt, mm")
     centre_y_mm: float = Field(
-        default=0.0, ge=-1e5, le=1e5, description="Y of the middle one on the belt, mm"
+        default=0.0,
+        ge=-1e5,
+        le=1e5,
+        description="place of the middle one along the planes' lines on the belt, from the origin, mm",
     )
 
     @property
     def lines_y_mm(self) -> Floats:
-        """(line,) Y of the lines on the belt, mm."""
+        """(line,) where they cross the run of the fan's lines through the belt's origin, mm from there.
+
+        Where the fan is not turned about Z, that is their Y on the belt.
+        """
         order = np.arange(self.lines) - 0.5 * (self.lines - 1)
         return np.asarray(self.centre_y_mm + self.spacing_mm * order, np.float64)
 

@@ -111,8 +111,6 @@ class EdgeContour(Outliner[EdgeContourOptions]):
     Nothing is known of heights here: an outline is what the camera sees, in pixels.
     """
 
-    Options = EdgeContourOptions
-
     def outline(
         self, frame: Frame, plain: Frame | None, stripes: StripeMap, calibration: Calibration | None
     ) -> tuple[Outline, ...]:

@@ -104,22 +104,15 @@ _DECIDED_PX = 6
 
 
 class Edge(NamedTuple):
-    """An outline and how well it is held.
-
-    Attributes
-    ----------
-    xy_px : ndarray, shape (400, 2)
-        The contour.
-    std_px
-        Standard uncertainty of its place as a whole: what the image's noise and texture leave open, what the
-        model of the brightness across the edge may be wrong by, and how far it is not seen at all.
-    scatter_px
-        How far the single normals' best places scatter about the contour, standard deviation.
-    """
+    """An outline and how well it is held."""
 
     xy_px: Floats
+    """(400, 2) the contour."""
     std_px: float
+    """Standard uncertainty of its place as a whole: what the image's noise and texture leave open, what the
+    model of the brightness across the edge may be wrong by, and how far it is not seen at all."""
     scatter_px: float
+    """How far the single normals' best places scatter about the contour, standard deviation."""
 
 
 Image = NDArray[np.float32]

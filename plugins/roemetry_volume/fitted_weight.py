@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -89,7 +89,6 @@ class FittedWeight(Weigher[FittedWeightOptions]):
     samples (Student's t). The volume's own random error is part of the samples' scatter.
     """
 
-    Options: ClassVar[type[StageOptions]] = FittedWeightOptions
     capabilities = Capabilities(fixture="roemetry_volume.fitted_weight:weight_options")
 
     @property

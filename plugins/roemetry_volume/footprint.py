@@ -18,22 +18,15 @@ from roemetry_kernels.compiling import float_kernel, kernel
 
 
 class Border(NamedTuple):
-    """The footprint's border.
-
-    Attributes
-    ----------
-    xy_mm : ndarray, shape (n, 2)
-        Closed polygon on the belt.
-    outward : ndarray, shape (n, 2)
-        Unit normals.
-    tilt : ndarray, shape (n,)
-        Tangent of the viewing ray's tilt along the normal; positive where the camera looks from inside
-        outwards and the wall is hidden, negative where it sees the wall.
-    """
+    """The footprint's border."""
 
     xy_mm: Floats
+    """(n, 2) closed polygon on the belt."""
     outward: Floats
+    """(n, 2) unit normals."""
     tilt: Floats
+    """(n,) tangent of the viewing ray's tilt along the normal; positive where the camera looks from inside
+    outwards and the wall is hidden, negative where it sees the wall."""
 
 
 def border_at(rays: tuple[Floats, Floats], height_mm: Floats, fall_mm: Floats) -> Border:

@@ -21,7 +21,7 @@ from roemetry_volume.slice_estimators import (
 )
 from roemetry_volume.slice_table import Slices, slices_of
 from roemetry_volume.spline import add_points
-from roemetry_volume.surface_fit import LONG_AXIS, Fused, fuse, plate_through, without_slice
+from roemetry_volume.surface_fit import LONG_AXIS, FittedSurface, fit_surface, plate_through, without_slice
 from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume, underside_reasons
 
 _STEPS = 0.7  # of what single slices depart from the course of the others
@@ -39,7 +39,6 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
     two volumes are a rectangle's middle and end, and their distance over √3 joins the uncertainty.
     """
 
-    Options = UndersideOptions
     capabilities = Capabilities(relative_tolerance=0.026)
 
     @property
@@ -60,7 +59,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         why = outline_fault(product, slices)
         if why is not None or product.outline is None or product.view is None:
             return self._by_slices(product, why, rng)
-        fused = fuse(product, product.view, product.outline)
+        fused = fit_surface(product, product.view, product.outline)
         late = outline_fault(product, slices, fused)
         if late is not None:
             by_slices = self._by_slices(product, late, rng)
@@ -94,7 +93,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
         """
         if OUTLINE not in found.visible_mm3.budget or product.outline is None or product.view is None:
             return self.estimate(product, rng=rng)
-        fused = fuse(product, product.view, product.outline, found.solution)
+        fused = fit_surface(product, product.view, product.outline, found.solution)
         budget = dict(found.visible_mm3.budget)
         visible = estimate_of(_positive(fused.volume_mm3) + _model_error(budget, rng), budget)
         true = true_volume(self.options, visible, float(fused.weight_mm2.sum()), rng)
@@ -108,7 +107,7 @@ class OutlineSurface(VolumeEstimator[UndersideOptions]):
             and product.outline is not None
             and product.view is not None
         ):
-            fused = fuse(product, product.view, product.outline)
+            fused = fit_surface(product, product.view, product.outline)
             if outline_fault(product, slices, fused) is None:
                 return _drawn(fused, slices, product)
         return self._slices().surface(product)
@@ -152,7 +151,7 @@ def _model_error(budget: Mapping[str, float], rng: np.random.Generator | None) -
     return sum(std * rng.standard_normal() for cause, std in budget.items() if cause != OUTLINE)
 
 
-def _reasons(fused: Fused) -> tuple[Reason, ...]:
+def _reasons(fused: FittedSurface) -> tuple[Reason, ...]:
     if not fused.open_end.any():
         return ()
     return (
@@ -185,7 +184,7 @@ _NEAR_RIM_MM = 2.0
 """A dome meets its rim upright, where the square root of what the plate is off by shows as a zigzag."""
 
 
-def _drawn(fused: Fused, slices: Slices, product: Product) -> Surface:
+def _drawn(fused: FittedSurface, slices: Slices, product: Product) -> Surface:
     """Lay a grid over the footprint, closer towards its border, where the surface is steepest."""
     from roemetry_volume.footprint import inside_by
 
@@ -216,7 +215,7 @@ def _crossings(contour: Floats, s: float) -> tuple[float, float]:
     return float(v.min()), float(v.max())
 
 
-def _shares(fused: Fused, slices: Slices, product: Product) -> Shares:
+def _shares(fused: FittedSurface, slices: Slices, product: Product) -> Shares:
     """What lies beyond the outer slices is assumed; between them it is as seen as the slices are."""
     part = fused.weight_mm2 * np.abs(fused.heights())
     assumed = float(part[_beyond(fused, slices, product)].sum() / part.sum())
@@ -226,7 +225,7 @@ def _shares(fused: Fused, slices: Slices, product: Product) -> Shares:
     return Shares(seen, joined, max(1.0 - seen - joined, 0.0) if not math.isnan(seen) else math.nan)
 
 
-def _beyond(fused: Fused, slices: Slices, product: Product) -> Flags:
+def _beyond(fused: FittedSurface, slices: Slices, product: Product) -> Flags:
     """Say which nodes lie beyond the outer slices."""
     planes = product.profiles.plane
     slope = -planes[:, 2] / planes[:, 0]
@@ -243,7 +242,7 @@ def _beyond(fused: Fused, slices: Slices, product: Product) -> Flags:
     return beyond
 
 
-def _belt_xy(fused: Fused) -> np.ndarray:
+def _belt_xy(fused: FittedSurface) -> np.ndarray:
     """Belt X and Y of the nodes: from three points of the border, whose places are known in both frames."""
     design = np.column_stack([fused.contour, np.ones(fused.contour.shape[0])])
     turn, *_ = np.linalg.lstsq(design, fused.border.xy_mm, rcond=None)
@@ -267,7 +266,7 @@ _STEP_MM = 0.2
 """Of differences: about the rim's own uncertainty, since what is square there is not even nearly linear."""
 
 
-def budget_of(fused: Fused, view: View, outline_std_px: float) -> dict[str, float]:
+def budget_of(fused: FittedSurface, view: View, outline_std_px: float) -> dict[str, float]:
     """Give standard uncertainties by cause, mm³: between slices, settings, outline, rim."""
     px_mm = _mm_per_px(fused, view)
     std_px = OUTLINE_STD_PX if math.isnan(outline_std_px) else outline_std_px
@@ -281,7 +280,7 @@ def budget_of(fused: Fused, view: View, outline_std_px: float) -> dict[str, floa
     }
 
 
-def _left_out(fused: Fused) -> float:
+def _left_out(fused: FittedSurface) -> float:
     """Part of what the volume changes by when each slice in turn is left out, in quadrature."""
     total = 0.0
     volume = fused.volume_mm3
@@ -293,7 +292,7 @@ def _left_out(fused: Fused) -> float:
     return (_BETWEEN + _FEW / slices.size**2) * math.sqrt(total)
 
 
-def _stiffer(fused: Fused) -> float:
+def _stiffer(fused: FittedSurface) -> float:
     rim = fused.contour[~fused.open_end][::2]
     plate = plate_through(
         fused.knots, LONG_AXIS * rim[:, 0], rim[:, 1], np.full(rim.shape[0], 6.0), stiffness=_STIFFER
@@ -301,7 +300,7 @@ def _stiffer(fused: Fused) -> float:
     return _volume(fused, plate.at(LONG_AXIS * fused.s, fused.v))
 
 
-def _per_mm_outwards(fused: Fused, outwards: Floats) -> float:
+def _per_mm_outwards(fused: FittedSurface, outwards: Floats) -> float:
     """Change of volume when each point of the border moves outwards by so many times a millimetre, mm²."""
     steps = np.roll(fused.border.xy_mm, -1, axis=0) - fused.border.xy_mm
     edge = np.hypot(steps[:, 0], steps[:, 1]) * fused.height_mm * outwards
@@ -313,7 +312,7 @@ def _per_mm_outwards(fused: Fused, outwards: Floats) -> float:
     return float(edge.sum()) + (_volume(fused, values) - fused.volume_mm3) / _STEP_MM
 
 
-def _per_mm_of_rim(fused: Fused) -> float:
+def _per_mm_of_rim(fused: FittedSurface) -> float:
     """Change of volume when the rim is taken higher by a millimetre, and the border placed there, mm².
 
     A border that is placed higher on its line of sight moves inwards by the ray's tilt; where the camera
@@ -330,7 +329,7 @@ def _per_mm_of_rim(fused: Fused) -> float:
     return raised + _per_mm_outwards(fused, -np.maximum(fused.border.tilt, 0.0))
 
 
-def _rim_right(fused: Fused, rim: Floats, values: Floats) -> Floats:
+def _rim_right(fused: FittedSurface, rim: Floats, values: Floats) -> Floats:
     change = np.zeros_like(fused.plate.right)
     unused = np.zeros((3 * (fused.plate.grid[4] + 3) + 4, change.size))
     add_points(
@@ -339,23 +338,23 @@ def _rim_right(fused: Fused, rim: Floats, values: Floats) -> Floats:
     return change
 
 
-def _moved(fused: Fused, change: Floats) -> Floats:
+def _moved(fused: FittedSurface, change: Floats) -> Floats:
     moved = replace(fused.plate, coefficients=fused.plate.moved_by(change))
     return moved.at(LONG_AXIS * fused.s, fused.v)
 
 
-def _volume(fused: Fused, values: Floats, rim_shift_mm: float = 0.0) -> float:
+def _volume(fused: FittedSurface, values: Floats, rim_shift_mm: float = 0.0) -> float:
     return float((fused.weight_mm2 * fused.heights(values, rim_shift_mm)).sum())
 
 
-def _turn(fused: Fused) -> Floats:
+def _turn(fused: FittedSurface) -> Floats:
     """Turn from the belt to along and across the product."""
     design = fused.border.xy_mm - fused.border.xy_mm.mean(axis=0)
     turn, *_ = np.linalg.lstsq(design, fused.contour - fused.contour.mean(axis=0), rcond=None)
     return np.asarray(turn)
 
 
-def _mm_per_px(fused: Fused, view: View) -> float:
+def _mm_per_px(fused: FittedSurface, view: View) -> float:
     """Size of a pixel at the middle of the border."""
     middle = np.append(fused.border.xy_mm.mean(axis=0), float(np.mean(fused.height_mm)))
     step = view.project(np.stack([middle, middle + np.array([1.0, 0.0, 0.0])]))
@@ -371,7 +370,7 @@ _SHORT_MM = (
 )
 
 
-def outline_fault(product: Product, slices: Slices, fused: Fused | None = None) -> Reason | None:
+def outline_fault(product: Product, slices: Slices, fused: FittedSurface | None = None) -> Reason | None:
     """Say why a product's volume has to do without its outline; None where it need not.
 
     Parameters
@@ -417,7 +416,7 @@ def outline_fault(product: Product, slices: Slices, fused: Fused | None = None) 
     return None if fused is None else _disagreement(fused)
 
 
-def _disagreement(fused: Fused) -> Reason | None:
+def _disagreement(fused: FittedSurface) -> Reason | None:
     """Compare the stripes' points and ends with the border."""
     from roemetry_volume.footprint import inside_by
 

@@ -46,7 +46,6 @@ class SlicePchip(VolumeEstimator[UndersideOptions]):
     overshoots the areas.
     """
 
-    Options = UndersideOptions
     capabilities = Capabilities(relative_tolerance=0.026)
 
     @property

@@ -19,36 +19,10 @@ _SUNKEN_MM = 1.0  # below its neighbours, from which on a slice counts as a clef
 
 
 class Slices(NamedTuple):
-    """Slices with points on the product, along rising rest X.
-
-    Attributes
-    ----------
-    stripe : ndarray of int64, shape (n,)
-        Stripe of each.
-    t_mm, area_mm2, width_mm, loose_mm2, filled_mm2, open_mm2, held_mm : ndarray of float64, shape (n,)
-        Rest X; area; extent along Y; of the area, what was bridged beyond the outermost points that were
-        seen, and what a straight line fills over missing rows; what one over a hole would hold; half the ways
-        to both neighbours.
-    table : ndarray of float64, shape (n, 16)
-        All columns of `roemetry_volume.slice_table`.
-    profiles, place
-        The points, in the order of the rows, and where each slice is in them, shape (n,).
-    reach_mm, limited : tuple
-        At both ends: distance to the next stripe (the mean spacing where there is none), and whether there
-        is one.
-    lean : tuple
-        Of the planes of light of both outer slices: how far they go outwards, away from the product, for each
-        millimetre upwards; negative where they lean over it.
-    missing : int
-        Stripes between others on the product without a point.
-    seen_mm3, joined_mm3, assumed_mm3 : float
-        What was seen, what was bridged along a stripe, what stands over stripes without a point.
-    most_filled_mm2, most_hole_mm, lowest_mm, rows_px
-        Of all slices the largest area that a straight line fills, the largest length left out as a hole, the
-        lowest height, and the first and last row.
-    """
+    """Slices with points on the product, along rising rest X."""
 
     stripe: Integers
+    """(n,) stripe of each."""
     t_mm: Floats
     area_mm2: Floats
     width_mm: Floats
@@ -56,20 +30,34 @@ class Slices(NamedTuple):
     filled_mm2: Floats
     open_mm2: Floats
     held_mm: Floats
+    """t_mm, area_mm2, width_mm, loose_mm2, filled_mm2, open_mm2, held_mm: (n,) rest X; area; extent along Y;
+    of the area, what was bridged beyond the outermost points that were seen, and what a straight line fills
+    over missing rows; what one over a hole would hold; half the ways to both neighbours."""
     table: Floats
+    """(n, 16) all columns of `roemetry_volume.slice_table`."""
     profiles: Profiles
     place: Integers
+    """profiles, place: the points, in the order of the rows, and where each slice is in them, shape (n,)."""
     reach_mm: tuple[float, float]
     limited: tuple[bool, bool]
+    """reach_mm, limited: at both ends: distance to the next stripe (the mean spacing where there is none),
+    and whether there is one."""
     lean: tuple[float, float]
+    """Of the planes of light of both outer slices: how far they go outwards, away from the product, for each
+    millimetre upwards; negative where they lean over it."""
     missing: int
+    """Stripes between others on the product without a point."""
     seen_mm3: float
     joined_mm3: float
     assumed_mm3: float
+    """seen_mm3, joined_mm3, assumed_mm3: what was seen, what was bridged along a stripe, what stands over
+    stripes without a point."""
     most_filled_mm2: float
     most_hole_mm: float
     lowest_mm: float
     rows_px: tuple[float, float]
+    """most_filled_mm2, most_hole_mm, lowest_mm, rows_px: of all slices the largest area that a straight line
+    fills, the largest length left out as a hole, the lowest height, and the first and last row."""
 
 
 def slices_of(product: Product) -> Slices:

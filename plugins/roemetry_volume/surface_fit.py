@@ -69,40 +69,29 @@ class Start(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Fused:
-    """What was solved.
-
-    Attributes
-    ----------
-    points
-        The product's points; `place` (n, 2) are theirs along and across the product, mm.
-    rim, border, plate, knots
-        See their classes.
-    contour : ndarray, shape (400, 2)
-        The border along and across the product, mm.
-    open_end : ndarray, shape (400,)
-        True where the outline is a flat end's: no rim is asked for there.
-    height_mm : ndarray, shape (400,)
-        Height of the surface over the border.
-    s, v, weight_mm2
-        Nodes and weights over the footprint.
-    start
-        From which the same product is solved when it has changed a little.
-    """
+class FittedSurface:
+    """The surface that slices and outline give together."""
 
     points: StripePoints
+    """The product's points; `place` (n, 2) are theirs along and across the product, mm."""
     place: Floats
     rim: Rim
     border: Border
     plate: Plate
     knots: Knots
+    """rim, border, plate, knots: see their classes."""
     contour: Floats
+    """(400, 2) the border along and across the product, mm."""
     open_end: Any
+    """(400,) true where the outline is a flat end's: no rim is asked for there."""
     height_mm: Floats
+    """(400,) height of the surface over the border."""
     s: Floats
     v: Floats
     weight_mm2: Floats
+    """s, v, weight_mm2: nodes and weights over the footprint."""
     start: Start
+    """From which the same product is solved when it has changed a little."""
 
     def heights(self, values: Floats | None = None, rim_shift_mm: float = 0.0) -> Floats:
         """Height at the nodes, mm; `values` are the plate's there, if they are not its own."""
@@ -224,7 +213,7 @@ def _outermost(seen: Flags, z_mm: Floats, begin: int, stop: int, step: int) -> i
     return first
 
 
-def fuse(product: Product, view: View, outline: Outline, start: Start | None = None) -> Fused:
+def fit_surface(product: Product, view: View, outline: Outline, start: Start | None = None) -> FittedSurface:
     """Solve surface, rim and border together.
 
     Parameters
@@ -274,7 +263,9 @@ def fuse(product: Product, view: View, outline: Outline, start: Start | None = N
     s, v, weight = nodes_within(contour, *_gauss(_NODES[0]), *_gauss(_NODES[1]))
     weight *= abs(area_of(contour)) / weight.sum()  # corners are between nodes
     found = Start((centre, turn), height, fall, open_end, wall_shows)
-    return Fused(points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight, found)
+    return FittedSurface(
+        points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight, found
+    )
 
 
 def axes_of(xy: Floats) -> tuple[Floats, Floats]:

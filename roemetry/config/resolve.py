@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol, get_args
+from typing import Any, Protocol
 
 from roemetry.config.validation import Place, checked
 from roemetry.errors import RoemetryError
@@ -156,12 +156,6 @@ def misfit_of(stage: type[Any], kind: str) -> str | None:
     if stage.__abstractmethods__:
         lacking = ", ".join(f"`{name}`" for name in sorted(stage.__abstractmethods__))
         return f"class {stage.__name__} does not define {lacking}"
-    for base in stage.__dict__.get("__orig_bases__", ()):
-        for model in get_args(base):
-            if isinstance(model, type) and not issubclass(stage.Options, model):
-                return (
-                    f"class {stage.__name__} has no options: write `Options = {model.__name__}` in its body"
-                )
     return None
 
 

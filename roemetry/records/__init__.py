@@ -26,7 +26,7 @@ from roemetry.records.outcome import (
     Decision,
     Estimate,
     Grade,
-    Marks,
+    ImageArrows,
     Relief,
     ReliefMap,
     ReliefRegion,

@@ -123,7 +123,7 @@ class Measurement(Shown):
 
     @classmethod
     def from_json(cls, line: str) -> Measurement:
-        """Read a line that `to_json` wrote, or an older version; marks are not stored and come back None."""
+        """Read a line that `to_json` wrote, or an older version; arrows are not stored and come back None."""
         try:
             row = _parsed(line)
             if row["coding"] is not None:
@@ -146,7 +146,7 @@ class Measurement(Shown):
 _SLICE = ("stripe", "area_mm2", "spacing_mm")
 _RENAMED = {"coded": "labelled", "uncoded": "unlabelled"}
 """Fields of `Coding` by the names they had in older records, which can still be read."""
-_NOT_KEPT = ("marks", "relief", "solution")
+_NOT_KEPT = ("arrows", "relief", "solution")
 """What of a grade is drawn, and what an estimator goes on from."""
 
 

@@ -188,21 +188,21 @@ class Weight:
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
-class Marks(Shown):
+class ImageArrows(Shown):
     """Evidence that can be drawn over the image: arrows from a place to a place, px in the turned image."""
 
     kind: str
     """What an arrow is, in words, e.g. ``centre of arc``."""
     unit: str
     stripe: Integers
-    """(mark,) stripe the evidence lies on."""
+    """(arrow,) stripe the evidence lies on."""
     from_px: Floats
     to_px: Floats
-    """from_px, to_px: (mark, 2) x and y of the arrow's ends."""
+    """from_px, to_px: (arrow, 2) x and y of the arrow's ends."""
     value: Floats
-    """(mark,) the number behind the arrow; its unit stands in `unit`."""
+    """(arrow,) the number behind the arrow; its unit stands in `unit`."""
     flagged: Flags
-    """(mark,) True where this piece of evidence speaks against the product."""
+    """(arrow,) True where this piece of evidence speaks against the product."""
 
     def __post_init__(self) -> None:
         check = Checker(self)
@@ -225,11 +225,11 @@ class Grade(Shown):
     features: Mapping[str, Number] = field(default_factory=dict)
     """The numbers the decision rests on, each with its unit in the name."""
     reasons: tuple[Reason, ...] = ()
-    marks: Marks | None = None
+    arrows: ImageArrows | None = None
     features_std: Mapping[str, Number] = field(default_factory=dict)
     """Standard uncertainties of features, by name; a feature that is not in it has none stated."""
     relief: Relief | None = None
-    """The surface to draw; like marks, not in the record of a run."""
+    """The surface to draw; like arrows, not in the record of a run."""
 
     def __post_init__(self) -> None:
         check = Checker(self)

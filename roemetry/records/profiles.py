@@ -44,7 +44,7 @@ class Profiles(Shown):
     rim_mm3: Floats = field(default_factory=lambda: np.empty(0))
     """(product + 1,) by the product's number, standard deviation of its volume by the rim's height. Empty:
     nobody has looked for it."""
-    beside_mm3: Floats = field(default_factory=lambda: np.empty(0))
+    unseen_margin_mm3: Floats = field(default_factory=lambda: np.empty(0))
     """(product + 1,) by the product's number, how much larger it is if what is not seen between its slices'
     ends and the belt beside them is as high as these. Empty: nobody has looked for it."""
     flank_rel_std: Floats = field(default_factory=lambda: np.empty(0))
@@ -62,7 +62,7 @@ class Profiles(Shown):
         for name in ("stripe", "frame"):
             check.array(name, np.int64, (slices,))
         check.array("rim_mm3", np.float64, (None,))
-        check.array("beside_mm3", np.float64, (None,))
+        check.array("unseen_margin_mm3", np.float64, (None,))
         check.array("flank_rel_std", np.float64, (None,))
         check.array("rim_mm", np.float64, (None,))
         plane = check.array("plane", np.float64, (slices, 4))

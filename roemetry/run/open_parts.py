@@ -154,7 +154,7 @@ def _shown_across(stripes: StripeMap, row: Integers, x_px: Floats, within_px: fl
     return np.asarray(cKDTree(places).query(np.column_stack([x_px, row]))[0] <= within_px)
 
 
-def said_of(part: OpenPart, product: Product) -> Reason | None:
+def open_points_reason(part: OpenPart, product: Product) -> Reason | None:
     """Say how much of a product is open, where, and what that does to its number; None where nothing is."""
     if not part.points:
         return None
@@ -239,8 +239,8 @@ def _within(
     for _ in range(mine.shape[0]):
         near_low, near_high = _filled(low, np.inf, row), _filled(high, -np.inf, row)
         inside = (place_px >= low[row]) & (place_px <= high[row])
-        beside = (place_px >= near_low - reach) & (place_px <= near_high + reach) & off_belt
-        more = (inside | beside) & ~found & ~belt
+        around = (place_px >= near_low - reach) & (place_px <= near_high + reach) & off_belt
+        more = (inside | around) & ~found & ~belt
         if not more.any():
             break
         found |= more
@@ -254,8 +254,8 @@ def _well_inside(outline: Outline, inside: Flags, row: Integers, x_px: Floats, d
     found = inside.copy()
     some = np.flatnonzero(found)
     right, down = depth_px * np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])[:, :, None]
-    beside = _inside(outline, (row[some] + down).ravel(), (x_px[some] + right).ravel())
-    found[some] = beside.reshape(4, -1).all(axis=0)
+    around = _inside(outline, (row[some] + down).ravel(), (x_px[some] + right).ravel())
+    found[some] = around.reshape(4, -1).all(axis=0)
     return found
 
 
@@ -337,7 +337,7 @@ def _only(profiles: Profiles, number: int) -> Profiles:
         plane=profiles.plane[slices],
         reasons=profiles.reasons,
         scan=profiles.scan,
-        beside_mm3=profiles.beside_mm3,
+        unseen_margin_mm3=profiles.unseen_margin_mm3,
         flank_rel_std=profiles.flank_rel_std,
         rim_mm3=profiles.rim_mm3,
         rim_mm=profiles.rim_mm,

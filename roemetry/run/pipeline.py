@@ -35,7 +35,14 @@ from roemetry.records.penetration import raise_surface
 from roemetry.records.view import View
 from roemetry.run.linearisation import linearise
 from roemetry.run.monte_carlo import Chain, Scene, propagate, without_draws
-from roemetry.run.open_parts import OpenPart, open_parts, said_of, split_products, widened, widened_by
+from roemetry.run.open_parts import (
+    OpenPart,
+    open_parts,
+    open_points_reason,
+    split_products,
+    widened,
+    widened_by,
+)
 from roemetry.run.preprocess import prepare, prepare_plain
 from roemetry.run.scan import Placing, cut_by_scan, gather, measured_by_another, placed_only
 from roemetry.run.stage_errors import describe_failure, is_refusal, plugin_frame
@@ -405,7 +412,7 @@ class _Steps:
 def _with_open_part(product: Product, part: OpenPart | None) -> Product:
     """Say of a product what of it is open, instead of what was refused in the whole frame."""
     said = tuple(reason for reason in product.reasons if reason.code != "ambiguous")
-    own = said_of(part, product) if part is not None else None
+    own = open_points_reason(part, product) if part is not None else None
     return replace(product, reasons=said if own is None else (own, *said))
 
 

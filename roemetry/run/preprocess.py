@@ -169,7 +169,7 @@ _STRIPES = 2.0
 """Robust standard deviations above the fit from which on a pixel is a stripe's; costs 2 % of others."""
 _CLIPPED = 0.98  # of white, from which on the laser's channel counts as clipped
 _ALL_WHITE = 0.9  # of white: other channels so bright tell nothing of a clipped pixel
-_BESIDE_PX = 9  # the largest share of contrast so near to the end of clipped light is its share
+_NEAR_RUN_PX = 9  # the largest share of contrast so near to the end of clipped light is its share
 _DARK = 0.25  # of white: the colour of darker pixels tells nothing of clipped light beside
 _HEADROOM = 1.0
 """Of white, on top of it for what the other channels show beyond clipped light: half of a core's height, at
@@ -219,9 +219,9 @@ def _raise_cores(contrast: NDArray[np.float32], others: NDArray[Any], white: int
 
     clipped = contrast[rows] >= white
     light = others[rows].sum(axis=2, dtype=np.float32)
-    beside = cv2.dilate(np.where(clipped, 0.0, light), np.ones((1, _NEAR_PX), np.uint8))
-    room = np.maximum(2.0 * white - beside, _ROOM_MIN * white)
-    excess = np.where(clipped, np.clip((light - beside) / room, 0.0, 1.0), 0.0)
+    nearby = cv2.dilate(np.where(clipped, 0.0, light), np.ones((1, _NEAR_PX), np.uint8))
+    room = np.maximum(2.0 * white - nearby, _ROOM_MIN * white)
+    excess = np.where(clipped, np.clip((light - nearby) / room, 0.0, 1.0), 0.0)
     most = np.zeros(contrast.shape[0])
     most[rows] = excess.max(axis=1)
     cores = float(np.quantile(most, _CORES_QUANTILE))
@@ -247,9 +247,9 @@ def _decide_by_ends(
     some = np.where(
         known & (light[rows] >= _DARK * white), contrast[rows] / np.maximum(light[rows], 1.0), 0.0
     )
-    beside = cv2.dilate(some.astype(np.float32), np.ones((1, _BESIDE_PX), np.uint8))
+    nearby = cv2.dilate(some.astype(np.float32), np.ones((1, _NEAR_RUN_PX), np.uint8))
     columns = np.arange(some.shape[1])
     before = np.maximum.accumulate(np.where(known, columns, 0), axis=1)
     after = np.minimum.accumulate(np.where(known, columns, columns[-1])[:, ::-1], axis=1)[:, ::-1]
-    ends = [np.take_along_axis(beside, end, axis=1) for end in (before, after)]
+    ends = [np.take_along_axis(nearby, end, axis=1) for end in (before, after)]
     contrast[rows] = np.where(known, contrast[rows], white * np.minimum(np.minimum(*ends), 1.0))

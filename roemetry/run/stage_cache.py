@@ -1,4 +1,4 @@
-"""Steps are done once: each result of an acquisition is remembered by all that decides it."""
+"""Steps are done once: each result of an acquisition is cached by all that decides it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class _Fault(NamedTuple):
 class StageCache:
     """Results of the steps of one acquisition, with the time each took; cleared between acquisitions.
 
-    Of more than `most` results the one that was used longest ago is forgotten; None keeps all.
+    Of more than `most` results the least recently used one is dropped; None keeps all.
     """
 
     def __init__(self, most: int | None = None) -> None:
@@ -62,7 +62,7 @@ class StageCache:
             if self._most is not None and len(self._kept) > self._most:
                 del self._kept[next(iter(self._kept))]
         elif self._most is not None:
-            self._kept[key] = self._kept.pop(key)  # used last, forgotten last
+            self._kept[key] = self._kept.pop(key)  # used last, dropped last
         result, fault, seconds = self._kept[key]
         if fault is not None:
             # where it was raised is told to the plugin's author; each time anew, so that it does not grow
@@ -71,9 +71,9 @@ class StageCache:
 
 
 class CachedStages:
-    """A recipe's stages, for a pipeline, sharing a memory with the stages of all recipes compared.
+    """A recipe's stages, for a pipeline, sharing a cache with the stages of all recipes compared.
 
-    The stages of a scan are called line by line, so that nothing of them is remembered.
+    The stages of a scan are called line by line, so that nothing of them is cached.
 
     Attributes
     ----------
@@ -137,14 +137,14 @@ class _CachedStage:
         (verb,) = INTERFACES[kind].__abstractmethods__
         work = getattr(stage, verb)
 
-        def remembered(*inputs: Any) -> Any:
-            """Give what the stage gives, from memory if it has done this before; its time is added up."""
+        def cached(*inputs: Any) -> Any:
+            """Give what the stage gives, from the cache if it has done this before; its time is added up."""
             number = next((given.number for given in inputs if isinstance(given, Product)), 0)
             result, took = memory.recall((kind, key, number), lambda: work(*inputs))
             seconds[kind] = seconds.get(kind, 0.0) + took
             return result
 
-        setattr(self, verb, remembered)
+        setattr(self, verb, cached)
         if kind == "triangulator":
             self.view = stage.view
             self.moved = stage.moved

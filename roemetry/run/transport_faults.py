@@ -237,14 +237,14 @@ def _filled(lines: NDArray[Any], level: NDArray[np.bool_]) -> int | None:
         return None
     other: NDArray[Any] | None = None
     for line in np.flatnonzero(level):
-        beside = [k for k in (line - 1, line + 1) if 0 <= k < len(lines) and not level[k]]
+        neighbours = [k for k in (line - 1, line + 1) if 0 <= k < len(lines) and not level[k]]
         grey = lines[line].flat[0]
-        if not beside or (lines[line] != grey).any():
+        if not neighbours or (lines[line] != grey).any():
             continue
         other = lines[~level] if other is None else other  # all of the image: asked for in few
         if (other < grey).any():
             continue
-        lit = max(int(lines[k].max()) for k in beside) - int(grey) >= _STEP_SHARE * int(other.max())
+        lit = max(int(lines[k].max()) for k in neighbours) - int(grey) >= _STEP_SHARE * int(other.max())
         if lit and float((other == grey).mean()) <= _CLIPPED_SHARE:
             return int(line)
     return None

@@ -120,13 +120,20 @@ class Capabilities:
 class Stage(ABC, Generic[OptionsT]):
     """What all stages have: options, and declarations of what they can do.
 
-    A subclass names its option model in `Options`; ``MyStage()`` has the defaults. `expected_failures`
-    names the checks of `roemetry.testing` that the method cannot pass, each with the reason.
+    A subclass names its option model in its base, as in ``Extractor[MyOptions]``; it is `Options` then, and
+    ``MyStage()`` has the defaults. `expected_failures` names the checks of `roemetry.testing` that the method
+    cannot pass, each with the reason.
     """
 
     Options: ClassVar[type[StageOptions]] = StageOptions
     capabilities: ClassVar[Capabilities] = Capabilities()
     expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType({})
+
+    def __init_subclass__(cls, **given: Any) -> None:
+        super().__init_subclass__(**given)
+        for model in (one for base in vars(cls).get("__orig_bases__", ()) for one in get_args(base)):
+            if "Options" not in vars(cls) and isinstance(model, type) and issubclass(model, StageOptions):
+                cls.Options = model
 
     def __init__(self, options: OptionsT | None = None) -> None:
         self.options: OptionsT = self.Options() if options is None else options  # type: ignore[assignment]

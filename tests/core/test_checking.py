@@ -14,7 +14,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from roemetry.calibrating import (
     Chart,
@@ -27,7 +26,6 @@ from roemetry.calibrating import (
     read_block,
 )
 from roemetry.calibrating.weight_check import WeighedPair, check_weights
-from roemetry.cli.main import app
 from roemetry.config.recipe import Recipe
 from roemetry.errors import CalibrationError, DataError, OutputError
 from roemetry.records import Block, Peaks, Reason, StripeMap
@@ -35,6 +33,7 @@ from roemetry.run.batch import run_recipe
 from roemetry.run.control_chart import due
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
+from tests.command import typed
 
 RIG = LinearRig()
 BLOCK = Block("block", 40.0, 25.0, 12.0, 0.02)
@@ -222,16 +221,14 @@ def test_the_verb_checks_and_keeps_a_chart(line: Callable[..., Path], tmp_path: 
     recipe = line("calibration_check: {chart: chart.sqlite}\n")
     words = ["check-calibration", str(recipe), str(tmp_path / "images" / "block.png")]
     words += ["--target", str(tmp_path / "block.yaml")]
-    done = CliRunner().invoke(app, [*words, "--json", "--report", str(tmp_path / "chart.html")])
-    assert done.exit_code == 0, done.output
+    done = typed(*words, "--json", "--report", tmp_path / "chart.html")
     told = json.loads(done.stdout)
     assert told["height"]["value"] == pytest.approx(12.0, abs=0.05)  # mm
     assert len(Chart(tmp_path / "chart.sqlite").checks()) == 1
     assert "in order" in (tmp_path / "chart.html").read_text("utf-8")
     text = (tmp_path / "block.yaml").read_text("utf-8").replace("height_mm: 12", "height_mm: 12.6")
     (tmp_path / "block.yaml").write_text(text, "utf-8")
-    out = CliRunner().invoke(app, words)
-    assert out.exit_code == 1
+    out = typed(*words, code=1)
     assert "height of the block: 12.0" in out.stdout
 
 

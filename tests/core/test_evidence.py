@@ -8,16 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import roemetry
 import roemetry.calibrating
 from roemetry.calibrating import correlations, coverage, evidence_page, height_uncertainty, level_line_px
-from roemetry.cli.main import app
 from roemetry.records import Evidence, EvidenceFigure, Residuals
 from roemetry.records.calibration import Calibration
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
+from tests.command import typed
 
 RIG = LinearRig()
 
@@ -90,12 +89,10 @@ def test_what_its_own_checks_refuse_is_written_only_on_demand_and_marked(
     verdict = Evidence(verdict=("Not usable from 0 to 20 mm: heights are off.",), usable=False)
     monkeypatch.setattr(roemetry.calibrating, "calibrate_with_evidence", lambda rig, **_: (made, verdict))
     rig, out = str(root / "recipes" / "herring_roe" / "rig.yaml"), tmp_path / "c.yaml"
-    refused = CliRunner().invoke(app, ["calibrate", rig, "--out", str(out)])
-    assert refused.exit_code != 0
+    refused = typed("calibrate", rig, "--out", out, code=1)
     assert not out.exists()
     assert "Not usable" in str(refused.exception) + refused.output
-    accepted = CliRunner().invoke(app, ["calibrate", rig, "--out", str(out), "--accept-poor"])
-    assert accepted.exit_code == 0, accepted.output
+    typed("calibrate", rig, "--out", out, "--accept-poor")
     assert Calibration.load(out).poor.startswith("Not usable")
     recipe = roemetry.Recipe.load(root / "recipes" / "herring_roe", sets=[f"calibration={out}"])
     row = next(iter(recipe.run()))

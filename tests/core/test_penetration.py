@@ -9,10 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from roemetry.calibrating import fit_penetration_in_one
-from roemetry.cli.main import app
 from roemetry.config.recipe import Recipe
 from roemetry.errors import CalibrationError, ConfigurationError, DataError
 from roemetry.records import Block
@@ -20,6 +18,7 @@ from roemetry.records.penetration import Penetration, raise_surface
 from roemetry.run.batch import run_recipe
 from roemetry.testing.scenes import LinearRig
 from roemetry_paper.block_linear import BlockLinear
+from tests.command import typed
 
 RIG = LinearRig()
 LIGHT = Penetration("roe", 0.4, 0.05, "c" * 64, "block", "2026-05-01T00:00:00+00:00")
@@ -88,8 +87,7 @@ def words(line: Path, film: str = "2.0") -> list[str]:
 
 
 def test_what_was_drawn_is_found_and_used(line: Path) -> None:
-    done = CliRunner().invoke(app, words(line))
-    assert done.exit_code == 0, done.output
+    typed(*words(line))
     light = Penetration.load(line / "penetration.yaml")
     assert light.offset_mm == pytest.approx(0.6, abs=0.03)  # mm
     assert 0.03 <= light.std_mm < 0.05
@@ -108,10 +106,7 @@ def test_two_colours_in_one_image(line: Path, rig, half: str, film: float) -> No
     covered = slice(70, 120) if half == "top" else slice(120, 170)
     cv2.imwrite(str(line / "both.png"), block_of(rig, 12.0, film - 0.6, covered))
     common = ["--film", str(film), "--film-std", "0.03", "--target", str(line / "block.yaml")]
-    done = CliRunner().invoke(
-        app, ["fit-penetration", str(line), str(line / "both.png"), "--half", half, *common]
-    )
-    assert done.exit_code == 0, done.output
+    typed("fit-penetration", line, line / "both.png", "--half", half, *common)
     light = Penetration.load(line / "penetration.yaml")
     assert light.offset_mm == pytest.approx(0.6, abs=0.03)  # mm
     assert 0.03 <= light.std_mm < 0.05
@@ -122,22 +117,20 @@ def test_what_cannot_be_told_from_the_images_is_refused(line: Path, rig) -> None
     with pytest.raises(ConfigurationError, match=r"recipe.yaml:5:1: penetration: .*No such file"):
         Recipe.load(line)
     LIGHT.save(line / "penetration.yaml")
-    thick = CliRunner().invoke(app, words(line, film="14"))
+    thick = typed(*words(line, film="14"), code=1)
     assert isinstance(thick.exception, DataError)
     assert "14 mm thick" in str(thick.exception)
     row = row_of(Recipe.load(line), line / "run")
     assert "penetration-other-calibration" in {reason["code"] for reason in row["reasons"]}
     target = ["--film", "0", "--target", str(line / "block.yaml")]
     bare = str(line / "bare" / "block.png")
-    neither = CliRunner().invoke(app, ["fit-penetration", str(line), bare, *target])
+    neither = typed("fit-penetration", line, bare, *target, code=1)
     assert isinstance(neither.exception, ConfigurationError)
     assert "expected a second image or --half" in str(neither.exception)
     short = np.zeros((rig.stripes, rig.rows))
     short[1:6, 100:115] = 12.0
     cv2.imwrite(str(line / "short.png"), rig.image(rig.x_px(short), lens_px=0.5))
-    small = CliRunner().invoke(
-        app, ["fit-penetration", str(line), str(line / "short.png"), "--half", "top", *target]
-    )
+    small = typed("fit-penetration", line, line / "short.png", "--half", "top", *target, code=1)
     assert isinstance(small.exception, DataError)
     assert "does not show two level halves on 3 stripes" in str(small.exception)
 

@@ -171,8 +171,6 @@ class TableOptions(StageOptions):
 
 
 class FromTable(Weigher[TableOptions]):
-    Options = TableOptions
-
     def weigh(self, product: Product, volume: Volume, *, rng: object = None) -> Weight:
         raise NotImplementedError
 
@@ -208,12 +206,7 @@ def test_a_file_is_looked_for_beside_the_recipe(tmp_path: Path) -> None:
 
 
 class NoVerb(Weigher[TableOptions]):
-    Options = TableOptions
-
-
-class NoOptions(Weigher[TableOptions]):
-    def weigh(self, product: Product, volume: Volume, *, rng: object = None) -> Weight:
-        raise NotImplementedError
+    pass
 
 
 @pytest.mark.parametrize(
@@ -222,7 +215,6 @@ class NoOptions(Weigher[TableOptions]):
         (FromTable, "extractor", "class FromTable does not inherit from `roemetry.stages.Extractor`"),
         (int, "volume", "class int does not inherit from `roemetry.stages.VolumeEstimator`"),
         (NoVerb, "weigher", "class NoVerb does not define `weigh`"),
-        (NoOptions, "weigher", "class NoOptions has no options: write `Options = TableOptions` in its body"),
         (FromTable, "weigher", None),
         (type("Inherits", (FromTable,), {}), "weigher", None),
     ],

@@ -10,9 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from roemetry.cli.main import app
 from roemetry.config.target_file import (
     BlockFile,
     BoardFile,
@@ -24,6 +22,7 @@ from roemetry.config.target_file import (
 from roemetry.errors import ConfigurationError
 from roemetry.targets.sheets import Disc, Rectangle, Sheet, Words, board_shapes, lay_out, pdf_of, svg_of
 from roemetry.targets.solids import solid_triangles, stl_of
+from tests.command import typed
 
 PX_PER_MM = 10
 CHARUCO = BoardFile(
@@ -179,16 +178,15 @@ def test_what_cannot_be_made_is_named(make: Callable[[], object], says: str) -> 
 
 
 def test_the_verb_makes_shipped_and_own_targets(tmp_path: Path) -> None:
-    listed = CliRunner().invoke(app, ["target"])
+    listed = typed("target")
     assert "staircase-4x4" in listed.stdout
     names = [line.split()[0] for line in listed.stdout.splitlines()]
-    made = CliRunner().invoke(app, ["target", *names, "--out", str(tmp_path)])
-    assert made.exit_code == 0, made.output
+    typed("target", *names, "--out", tmp_path)
     assert {path.stem for path in tmp_path.iterdir()} == set(names)
     own = tmp_path / "own.yaml"
     own.write_text("kind: cube\nname: x\n", encoding="utf-8")
     with pytest.raises(ConfigurationError, match=r"own.yaml:1:1: kind: found 'cube', expected one of block"):
         read_target(own)
-    wrong = CliRunner().invoke(app, ["target", "starcase-4x4"])
+    wrong = typed("target", "starcase-4x4", code=1)
     assert isinstance(wrong.exception, ConfigurationError)
     assert "did you mean `staircase-4x4`" in str(wrong.exception)

@@ -8,9 +8,8 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-from typer.testing import CliRunner
 
-from roemetry.cli.main import app
+from tests.command import typed
 
 ROOT = Path(__file__).resolve().parents[2]
 SKEINS = ("skein_01", "skein_02", "skein_03")
@@ -60,8 +59,7 @@ def _beside(folder: Path) -> None:
     graded = zip(SKEINS, ("good", "dent", "twist"), strict=True)
     _write(folder / "labels.csv", [{"id": skein, "label": label} for skein, label in graded])
     for name in ("today", "monday"):
-        ran = CliRunner().invoke(app, ["run", str(home), "--out", str(folder / "results" / name)])
-        assert ran.exit_code == 0, ran.output
+        typed("run", home, "--out", folder / "results" / name)
 
 
 def multiply(folder: Path, rng: np.random.Generator) -> None:

@@ -8,10 +8,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from docs.reference_tables import markdown
-from roemetry.cli.main import app
 from roemetry.errors import PluginError
 from roemetry.records import Estimate
 from roemetry.stages import INTERFACES, Capabilities
@@ -25,6 +23,7 @@ from roemetry.testing.verdict import difference
 from roemetry_paper.block_linear import BlockLinear
 from roemetry_paper.density import Density
 from roemetry_paper.dominant_peak import DominantPeak
+from tests.command import typed
 
 FAULTS: dict[str, str] = {}
 
@@ -183,17 +182,15 @@ def test_the_page_lists_every_check(root) -> None:
 
 
 def test_the_verb_shows_a_table_and_its_exit_code() -> None:
-    done = CliRunner().invoke(app, ["check-plugin", "density"])
-    assert done.exit_code == 0
+    done = typed("check-plugin", "density")
     assert "mass is proportional to volume" in done.stdout
     assert f"{len(checks_of('weigher'))} passed" in done.stdout
 
 
 def test_the_verb_gives_json(monkeypatch) -> None:
     monkeypatch.setattr(Density, "expected_failures", {"check_an_unknown_volume_has_no_mass": "for the test"})
-    done = CliRunner().invoke(app, ["check-plugin", "weigher/density", "--json"])
+    done = typed("check-plugin", "weigher/density", "--json", code=1)
     rows = {row["check"]: row for row in json.loads(done.stdout)}
-    assert done.exit_code == 1
     assert rows["check_an_unknown_volume_has_no_mass"]["result"] == "unexpectedly passed"
     assert rows["check_mass_is_proportional_to_volume"]["result"] == "passed"
     assert rows["check_mass_is_proportional_to_volume"]["sentence"].startswith("Two and three times")

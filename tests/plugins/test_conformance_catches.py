@@ -32,7 +32,6 @@ class GravityOptions(StageOptions):
 class Gravity(Extractor[GravityOptions]):
     """A small honest extractor: centre of gravity of each run above a share of the frame's contrast."""
 
-    Options = GravityOptions
     capabilities = Capabilities(tolerance_px=0.2)
 
     def extract(self, frame: Frame) -> Peaks:

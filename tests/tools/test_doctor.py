@@ -7,13 +7,12 @@ import shutil
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from roemetry.cli.main import app
 from roemetry.stages.hookspecs import Finding
 from roemetry.stages.registry import Broken, Provider, Registry, discover
 from roemetry_tools import doctor
 from roemetry_tools.doctor import REFERENCE_VALUES, examine
+from tests.command import typed
 
 
 @pytest.fixture
@@ -95,9 +94,7 @@ def test_two_packages_of_opencv_are_told(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_the_verb_ends_with_2_where_something_is_wrong(copied: Path) -> None:
     spoil(copied, "weight (g)", "30")
-    outcome = CliRunner().invoke(app, ["doctor"])
-    assert outcome.exit_code == 2
+    outcome = typed("doctor", code=2)
     assert "1 wrong" in outcome.output
-    as_json = CliRunner().invoke(app, ["doctor", "--json"])
-    assert as_json.exit_code == 2
+    as_json = typed("doctor", "--json", code=2)
     assert {"what", "verdict", "found", "remedy"} == set(json.loads(as_json.output)[0])

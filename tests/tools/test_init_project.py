@@ -19,6 +19,7 @@ from roemetry.errors import ConfigurationError, RoemetryError
 from roemetry_tools.init_project import COPIED, copied, shipped_lines, start_like, start_own, texts_of
 from roemetry_tools.init_project import line_of as find_line
 from roemetry_tools.init_project.layout import Answers, Layout, lay_out
+from tests.command import typed
 
 LINES = ("bread_roll", "egg", "fish_fillet", "herring_roe", "potato")
 
@@ -207,8 +208,7 @@ def test_an_own_product_is_begun_calibrated_run_and_reported(tmp_path: Path) -> 
     size = "--product plums --size 50x40x30mm --image 240x180 --pixel-um 26.7 --stripes 7"
     wanted = "--measure volume,weight --density 1 --items 1"
     words = ["init", str(tmp_path / "plums"), *size.split(), *wanted.split()]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, done.output
+    typed(*words)
     Rig.load(tmp_path / "plums" / "rig.yaml")
     run_recipe(Recipe.load(tmp_path / "plums"), tmp_path / "out")
     row = json.loads((tmp_path / "out" / "measurements.jsonl").read_text("utf-8").splitlines()[0])
@@ -234,7 +234,7 @@ def test_an_own_product_is_begun_calibrated_run_and_reported(tmp_path: Path) -> 
 )
 def test_what_a_beginner_types_has_a_message(words: list[str], says: str, tmp_path: Path) -> None:
     said = [word.format(new=tmp_path / "new") for word in words]
-    done = CliRunner().invoke(app, ["init", *said])
+    done = typed("init", *said, code=1)
     assert isinstance(done.exception, ConfigurationError)
     assert says in str(done.exception)
     assert not (tmp_path / "new").exists()
@@ -251,8 +251,8 @@ def test_questions_are_asked_in_a_terminal(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr("roemetry_tools.init.start_own", begun)
     monkeypatch.setattr("roemetry_tools.init.in_terminal", lambda: True)
-    typed = f"{tmp_path / 'new'}\nplums\n90x60x45\n1280x1024\n5\n12\n0\n12\nvolume,weight\n1.1\ny\n"
-    done = CliRunner().invoke(app, ["init"], input=typed)
+    answers = f"{tmp_path / 'new'}\nplums\n90x60x45\n1280x1024\n5\n12\n0\n12\nvolume,weight\n1.1\ny\n"
+    done = CliRunner().invoke(app, ["init"], input=answers)
     assert done.exit_code == 0, done.output
     assert asked["answers"] == Answers(
         "plums", (90, 60, 45), 1280, 1024, 5, 12, None, 12, ("volume", "weight"), 1.1, plain_light=True

@@ -21,7 +21,6 @@ class RunCentroidOptions(StageOptions):
 class RunCentroid(Extractor[RunCentroidOptions]):
     """Weighs each pixel of a run above the threshold by its grey level above it."""
 
-    Options: ClassVar[type[StageOptions]] = RunCentroidOptions
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
     expected_failures: ClassVar[dict[str, str]] = {
         "check_brightness_does_not_matter": "the threshold is a fixed level: in more light a run is wider",

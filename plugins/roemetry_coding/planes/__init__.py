@@ -66,8 +66,6 @@ class PlanesOptions(BridgingOptions):
 class Planes(Coder[PlanesOptions]):
     """Solves for all labels of a frame at once, on the lines where sight and light meet."""
 
-    Options = PlanesOptions
-
     def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
         """Code the peaks of one frame.
 

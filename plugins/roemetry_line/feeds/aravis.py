@@ -52,7 +52,6 @@ class AravisOptions(CameraOptions):
 class Aravis(Feed[AravisOptions]):
     """Takes frames of grey or colour formats. A frame that did not arrive whole is told with the reason."""
 
-    Options = AravisOptions
     capabilities = Capabilities(fixture="roemetry_line.conformance:aravis")
 
     @contextmanager

@@ -47,7 +47,6 @@ class BaslerOptions(CameraOptions):
 class Basler(Feed[BaslerOptions]):
     """Takes frames with pylon. A frame that did not arrive whole is told with the driver's reason."""
 
-    Options = BaslerOptions
     capabilities = Capabilities(fixture="roemetry_line.conformance:basler")
 
     @contextmanager

@@ -43,7 +43,6 @@ class FolderWatch(Feed[FolderWatchOptions]):
     after a restart those that are there already are left alone, unless `existing` says otherwise.
     """
 
-    Options = FolderWatchOptions
     capabilities = Capabilities(fixture="roemetry_line.conformance:folder_watch")
 
     @contextmanager

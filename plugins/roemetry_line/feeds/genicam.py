@@ -46,7 +46,6 @@ class GenICam(Feed[GenICamOptions]):
     harvesters throws frames away that did not arrive whole: they show as lost.
     """
 
-    Options = GenICamOptions
     capabilities = Capabilities(fixture="roemetry_line.conformance:genicam")
 
     @contextmanager

@@ -37,7 +37,6 @@ class VideoOptions(StageOptions):
 class Video(Feed[VideoOptions]):
     """Gives the frames of a video once, or those of a USB camera."""
 
-    Options = VideoOptions
     capabilities = Capabilities(fixture="roemetry_line.conformance:video")
 
     @contextmanager

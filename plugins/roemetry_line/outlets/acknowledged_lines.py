@@ -79,7 +79,6 @@ class TcpOptions(LineOptions):
 class Tcp(Outlet[TcpOptions]):
     """Sends rows to a listening receiver and waits for its answer to each."""
 
-    Options = TcpOptions
     capabilities = Capabilities(fixture="roemetry_line.conformance:tcp")
 
     @contextmanager
@@ -113,7 +112,6 @@ class SerialOptions(LineOptions):
 class Serial(Outlet[SerialOptions]):
     """Sends rows over a serial line and waits for the answer to each."""
 
-    Options = SerialOptions
     capabilities = Capabilities(fixture="roemetry_line.conformance:serial")
 
     @contextmanager

@@ -37,7 +37,6 @@ class DatabaseOptions(StageOptions):
 class Database(Outlet[DatabaseOptions]):
     """Puts rows into a table, each once."""
 
-    Options = DatabaseOptions
     capabilities = Capabilities(fixture="roemetry_line.conformance:database")
 
     @contextmanager

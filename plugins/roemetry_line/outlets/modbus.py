@@ -86,7 +86,6 @@ class ModbusOptions(StageOptions):
 class Modbus(Outlet[ModbusOptions]):
     """Shows results to PLCs that read them; anybody who reaches the port may read."""
 
-    Options = ModbusOptions
     capabilities = Capabilities(fixture="roemetry_line.conformance:modbus")
 
     @contextmanager

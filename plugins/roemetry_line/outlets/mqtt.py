@@ -113,7 +113,6 @@ class MqttOptions(StageOptions):
 class Mqtt(Outlet[MqttOptions]):
     """Publishes each row and waits until the broker has acknowledged it."""
 
-    Options = MqttOptions
     capabilities = Capabilities(fixture="roemetry_line.conformance:mqtt")
 
     @contextmanager

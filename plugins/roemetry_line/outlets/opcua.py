@@ -82,7 +82,6 @@ class OpcUaOptions(StageOptions):
 class OpcUa(Outlet[OpcUaOptions]):
     """Serves results to OPC UA clients; nobody may write, or add nodes."""
 
-    Options = OpcUaOptions
     capabilities = Capabilities(fixture="roemetry_line.conformance:opcua")
 
     @contextmanager

@@ -37,7 +37,6 @@ class WebhookOptions(StageOptions):
 class Webhook(Outlet[WebhookOptions]):
     """Posts rows in order, up to a hundred at once."""
 
-    Options = WebhookOptions
     capabilities = Capabilities(fixture="roemetry_line.conformance:webhook")
 
     @contextmanager

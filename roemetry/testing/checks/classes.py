@@ -60,16 +60,16 @@ def check_probability_is_one_or_not_stated(classifier: Classifier[Any]) -> None:
         require(math.isnan(probability) or 0.0 <= probability <= 1.0, f"the probability is {probability:.4g}")
 
 
-def check_marks_lie_on_the_product(classifier: Classifier[Any]) -> None:
-    """Marks start on the product, within a pixel of its extent in the image."""
+def check_arrows_lie_on_the_product(classifier: Classifier[Any]) -> None:
+    """Arrows start on the product, within a pixel of its extent in the image."""
     for name, product in _both():
-        marks = classifier.classify(product).marks
-        if marks is None or not marks.stripe.size:
+        arrows = classifier.classify(product).arrows
+        if arrows is None or not arrows.stripe.size:
             continue
         extent = np.stack([product.profiles.x_px.ravel(), product.profiles.row_px.ravel()], axis=1)
         low, high = np.nanmin(extent, axis=0) - 1.0, np.nanmax(extent, axis=0) + 1.0
-        inside = ((marks.from_px >= low) & (marks.from_px <= high)).all(axis=1)
-        require(bool(inside.all()), f"{int((~inside).sum())} marks on the {name} body start beside it")
+        inside = ((arrows.from_px >= low) & (arrows.from_px <= high)).all(axis=1)
+        require(bool(inside.all()), f"{int((~inside).sum())} arrows on the {name} body start beside it")
 
 
 def check_one_seed_gives_one_draw(classifier: Classifier[Any]) -> None:

@@ -11,15 +11,14 @@ from typing import Any
 import fsspec
 import pytest
 from fsspec.implementations.memory import MemoryFileSystem
-from typer.testing import CliRunner
 
-from roemetry.cli.main import app
 from roemetry.config.recipe import Recipe
 from roemetry.errors import ConfigurationError, DataError
 from roemetry.io import remote
 from roemetry.io.remote import path_of, read_ahead
 from roemetry.run.batch import run_recipe
 from roemetry.run.record import RECORD, read_record
+from tests.command import typed
 
 
 @pytest.fixture
@@ -36,8 +35,7 @@ def put(bucket: MemoryFileSystem, recipe: Path) -> None:
 
 
 def listed(recipe: Path, out: Path, source: str) -> None:
-    found = CliRunner().invoke(app, ["manifest", str(recipe), str(out), "--set", f"source.path={source}"])
-    assert found.exit_code == 0, found.output
+    typed("manifest", recipe, out, "--set", f"source.path={source}")
 
 
 def test_a_bucket_gives_the_rows_of_a_folder(bucket: MemoryFileSystem, line: Any, tmp_path: Path) -> None:

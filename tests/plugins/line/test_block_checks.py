@@ -8,9 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from roemetry.cli.main import app
 from roemetry.records import Frame
 from roemetry.run.control_chart import Chart
 from roemetry_line import line_file as line_file_module
@@ -19,6 +17,7 @@ from roemetry_line.history import checks_of
 from roemetry_line.line_file import Line
 from roemetry_line.outbox import Outbox
 from roemetry_line.outlets.database import connect
+from tests.command import typed
 from tests.plugins.line.loopback import wait_for
 
 BLOCK = "kind: block\nname: block-12\nlength_mm: 40\nwidth_mm: 25\nheight_mm: 12\ntolerance_mm: 0.02\n"
@@ -98,8 +97,7 @@ def test_a_block_is_measured_when_somebody_asks(checked, rig, tmp_path) -> None:
     }
 
     connect(checked.line.history_url).close()
-    shown = CliRunner().invoke(app, ["history", str(checked.line.path), "--report", str(tmp_path / "h.html")])
-    assert shown.exit_code == 0, shown.output
+    shown = typed("history", checked.line.path, "--report", tmp_path / "h.html")
     assert "calibration of one: 2 checks" in shown.output
     assert "height of the block: 13.0" in shown.output
     page = (tmp_path / "h.html").read_text("utf-8")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from typer.testing import CliRunner
 
-from roemetry.cli.main import app
 from roemetry.errors import ConfigurationError
 from roemetry.io.files import exclusive
 from roemetry_line.line_file import Line
 from roemetry_line.outbox import Outbox
+from tests.command import typed
 
 PLC = "outlets:\n  - {name: plc, use: tcp, options: {port: 9100}}\n"
 
@@ -66,8 +65,7 @@ def test_all_faults_are_told_at_once(at) -> None:
 def test_the_doctor_tries_what_a_line_names(at) -> None:
     images = ("FOLDER/in", "FOLDER/images, existing: true, settle_ms: 0")
     path = at(("port: 9100", "port: 1"), images, ("folder: data", "folder: data\npage: {port: 0}"))
-    ran = CliRunner().invoke(app, ["doctor", str(path)])
-    assert ran.exit_code == 2
+    ran = typed("doctor", path, code=2)
     said = ran.output.splitlines()
     assert said[0] == "ok       line file: line-1: recipes and calibrations load, every stage is installed"
     assert "ok       station one, feed folder-watch: a frame of 320 × 240 pixels" in said
@@ -87,14 +85,13 @@ def test_the_doctor_says_how_a_line_is_that_runs(at) -> None:
     outbox.beat("station one", "running", {})
     outbox.raise_alarm("one", "camera", "no frames from the camera: unplugged")
     with exclusive(loaded.folder):
-        ran = CliRunner().invoke(app, ["doctor", str(path)])
-    assert ran.exit_code == 2
+        ran = typed("doctor", path, code=2)
     assert "ok       station one: running" in ran.output
     assert "WRONG    one: no frames from the camera: unplugged" in ran.output
 
 
 def test_the_doctor_does_not_guess_what_a_file_is(tmp_path) -> None:
     (tmp_path / "other.yaml").write_text("roemetry: 1\n")
-    ran = CliRunner().invoke(app, ["doctor", str(tmp_path / "other.yaml")])
+    ran = typed("doctor", tmp_path / "other.yaml", code=1)
     assert isinstance(ran.exception, ConfigurationError)
     assert "the key `roemetry_line`" in str(ran.exception)

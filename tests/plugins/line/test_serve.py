@@ -13,10 +13,9 @@ import time
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from roemetry.cli.main import app
 from roemetry.errors import ConfigurationError
+from tests.command import typed
 from tests.plugins.line.loopback import Receiver, wait_for
 
 INCOMING = "options: {path: FOLDER/in, settle_ms: 0, poll_ms: 5}"
@@ -176,12 +175,11 @@ def test_a_line_measures_reloads_survives_kills_and_drains(served, receiver) -> 
     *_, last = served.runs()
     again = served.folder / "again"
     changes = ["source.use=dataset", "source.options={}", f"source.path={last}", "sinks=[]"]
-    typed = ["run", str(recipe), "--out", str(again), *(f"--set={change}" for change in changes)]
-    ran = CliRunner().invoke(app, typed)
-    assert ran.exit_code == 0, ran.output
+    words = ["run", str(recipe), "--out", str(again), *(f"--set={change}" for change in changes)]
+    typed(*words)
     assert (again / "measurements.jsonl").read_bytes() == (last / "measurements.jsonl").read_bytes()
-    assert CliRunner().invoke(app, ["report", str(last)]).exit_code == 0
-    said = CliRunner().invoke(app, ["history", str(served.folder / "line.yaml"), "--json"])
+    typed("report", last)
+    said = typed("history", served.folder / "line.yaml", "--json")
     counts = json.loads(said.output)["counts"]
     assert sum(count for name, count in counts.items() if name != "late") == 17
 
@@ -194,7 +192,7 @@ def locked(folder: Path) -> bool:
 
 def test_a_line_that_cannot_reach_a_receiver_does_not_start(line_file) -> None:
     path = line_file(("FOLDER/in", "FOLDER/images, existing: true"), end=outlets(1))
-    tried = CliRunner().invoke(app, ["serve", str(path)])
+    tried = typed("serve", path, code=1)
     assert isinstance(tried.exception, ConfigurationError)
     (fault,) = tried.exception.faults
     assert "line.yaml:9:5: 127.0.0.1:1: Connection refused (outlet plc (tcp)): does the receiver run" in fault
@@ -203,7 +201,6 @@ def test_a_line_that_cannot_reach_a_receiver_does_not_start(line_file) -> None:
 
 def test_a_unit_names_this_line(line_file) -> None:
     path = line_file()
-    shown = CliRunner().invoke(app, ["serve", str(path), "--unit"])
-    assert shown.exit_code == 0
+    shown = typed("serve", path, "--unit")
     assert f"serve {path} --start-anyway" in shown.output
     assert "Type=notify" in shown.output

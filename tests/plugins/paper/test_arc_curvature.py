@@ -62,10 +62,10 @@ def test_an_arc_has_its_known_centre_and_is_concave_where_it_bows_right(bows, ra
     grade = grade_of((0, *circle(radius, bows)))
     side = 1.0 if bows == "left" else -1.0
     assert grade.label == label
-    np.testing.assert_allclose(grade.marks.value, side * radius, atol=1e-6)  # px
-    np.testing.assert_allclose(grade.marks.to_px, [[300.0 + side * radius, 200.0]] * 4, atol=1e-6)  # px
+    np.testing.assert_allclose(grade.arrows.value, side * radius, atol=1e-6)  # px
+    np.testing.assert_allclose(grade.arrows.to_px, [[300.0 + side * radius, 200.0]] * 4, atol=1e-6)  # px
     assert grade.features["arcs"] == 4
-    assert grade.features["arcs_flagged"] == grade.marks.flagged.sum() == (4 if label == "henkei" else 0)
+    assert grade.features["arcs_flagged"] == grade.arrows.flagged.sum() == (4 if label == "henkei" else 0)
     if bows == "left":
         assert math.isnan(grade.features["smallest_concave_radius_px"])
         assert codes(grade) == ["no-concave-arc"]
@@ -81,7 +81,7 @@ def test_only_the_stripe_with_the_dent_is_named_counted_from_one():
     text = grade.reasons[0].text
     assert text.startswith("4 of 20 arcs are concave with a radius between 4 and 80 px; ")
     assert "radius 50 px (a bow of 2.3 px), is on stripe 4 at x 297 px, row 216" in text
-    assert set(grade.marks.stripe[grade.marks.flagged]) == {3}
+    assert set(grade.arrows.stripe[grade.arrows.flagged]) == {3}
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.5, -0.37])
@@ -90,7 +90,7 @@ def test_a_straight_line_is_infinitely_flat_and_not_drawn(slope):
     grade = grade_of((0, rows, 300.0 + slope * (rows - 100)))
     assert grade.label == "good"
     assert (grade.features["arcs"], grade.features["arcs_concave"]) == (6, 0)
-    assert grade.marks.value.size == 0
+    assert grade.arrows.value.size == 0
 
 
 @pytest.mark.parametrize("count", [1, 2, 14, 15, 28, 29, 42, 43, 57, 100])
@@ -102,7 +102,7 @@ def test_n_points_give_as_many_centres_as_the_formula_says(count, delta):
     assert grade.features["arcs"] == expected
     assert grade.label == ("good" if expected else "unknown")
     if expected:
-        assert grade.marks.from_px[:, 1].tolist() == [100.0 + delta * i for i in range(1, expected + 1)]
+        assert grade.arrows.from_px[:, 1].tolist() == [100.0 + delta * i for i in range(1, expected + 1)]
     else:
         assert codes(grade) == ["too-few-points"]
         assert f"{2 * delta + 1} points" in grade.reasons[0].text
@@ -115,7 +115,7 @@ def test_curves_are_cut_where_rows_are_missing():
     grade = grade_of((0, rows[kept], x[kept]))
     # 30 points above the gap give one centre, 70 below it three.
     assert grade.features["arcs"] == 4
-    np.testing.assert_allclose(grade.marks.value, -60.0, atol=1e-6)  # px
+    np.testing.assert_allclose(grade.arrows.value, -60.0, atol=1e-6)  # px
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_limits_are_exclusive(low, high, label):
     rows = np.arange(100, 129)
     x = np.where(rows == 114, 302.0, 300.0)
     grade = grade_of((0, rows, x), radius_min_px=low, radius_max_px=high)
-    assert grade.marks.value.tolist() == [-50.0]
+    assert grade.arrows.value.tolist() == [-50.0]
     assert grade.label == label
 
 
@@ -158,10 +158,10 @@ def test_lengths_in_pixels_are_those_of_the_scale_they_were_chosen_at(scale, spa
     assert own.label == told.label == "henkei"
     assert told.features["arcs"] == own.features["arcs"] != blind.features["arcs"]
     assert told.features["arcs_flagged"] == own.features["arcs_flagged"]
-    expected = own.marks.value * (scale if space == "px" else 1.0)
-    np.testing.assert_allclose(told.marks.value, expected, rtol=1e-6)
+    expected = own.arrows.value * (scale if space == "px" else 1.0)
+    np.testing.assert_allclose(told.arrows.value, expected, rtol=1e-6)
     same = circle_in_space(1.0, **given, tuned_at_mm_per_px=1.0)
-    np.testing.assert_array_equal(same.marks.value, own.marks.value)
+    np.testing.assert_array_equal(same.arrows.value, own.arrows.value)
 
 
 @pytest.mark.parametrize("displacement", [-2.5, 2.5])
@@ -171,8 +171,8 @@ def test_millimetres_are_those_of_the_cross_section(displacement):
     z_mm = 20.0 - np.sqrt(radius_mm**2 - (0.2 * (rows - 200)) ** 2)
     rig = {"displacement": displacement, "mm_per_row": 0.2, "space": "mm", "radius_min_mm": 1.0}
     grade = grade_of((0, rows, REST_PX + displacement * z_mm), **rig, radius_max_mm=21.0)
-    np.testing.assert_allclose(grade.marks.value, -radius_mm, atol=1e-6)  # mm
-    assert (grade.label, grade.marks.unit) == ("henkei", "mm")
+    np.testing.assert_allclose(grade.arrows.value, -radius_mm, atol=1e-6)  # mm
+    assert (grade.label, grade.arrows.unit) == ("henkei", "mm")
     assert grade.features["smallest_concave_radius_mm"] == pytest.approx(radius_mm, abs=1e-6)  # mm
     assert grade_of((0, rows, REST_PX + displacement * z_mm), **rig, radius_max_mm=19.9).label == "good"
 

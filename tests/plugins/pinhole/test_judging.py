@@ -10,7 +10,7 @@ import pytest
 from benchmarks.simulated_points import Shown, SimulatedRig, noisy, shown
 from roemetry.errors import CalibrationError
 from roemetry.records import Board
-from roemetry_pinhole.boards import BoardView, Marks, Seen
+from roemetry_pinhole.boards import BoardMarks, BoardView, Seen
 from roemetry_pinhole.bundle import Measured
 from roemetry_pinhole.geometry import CAMERA, unknowns_of
 from roemetry_pinhole.initial_intrinsics import InitialCamera
@@ -29,7 +29,7 @@ def joint_of(seen: Shown, outlier_share: float = 0.0) -> JointAdjustment:
     views = []
     for pose in range(len(seen.geometry.shift)):
         mine = seen.corners.pose == pose
-        marks = Marks(seen.corners.board_mm[mine], seen.corners.xy_px[mine], "", 2.0, 40.0)
+        marks = BoardMarks(seen.corners.board_mm[mine], seen.corners.xy_px[mine], "", 2.0, 40.0)
         views.append(BoardView(f"pose {pose}", marks, None, None, on_belt=False, count=np.nan, board=board))
     first = InitialCamera(seen.geometry.camera, views, seen.geometry.rotation, seen.geometry.shift)
     pose = np.arange(len(views))

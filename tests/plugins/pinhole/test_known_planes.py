@@ -8,9 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from roemetry.cli.main import app
 from roemetry.errors import CalibrationError, ConfigurationError, DataError
 from roemetry.records.calibration import Calibration
 from roemetry.records.view import write_camera
@@ -18,6 +16,7 @@ from roemetry.testing import LinearRig
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.known_files import read_camera, read_planes
 from roemetry_pinhole.pinhole_plane import camera_of, lines_at_height, view_of
+from tests.command import typed
 
 
 def write_planes(path: Path, planes: np.ndarray) -> None:
@@ -130,8 +129,7 @@ def test_another_number_of_planes_and_no_belt(calibrated, belt, boards, tmp_path
 def test_the_command_line_writes_what_is_read_back(calibrated, belt, tmp_path: Path) -> None:
     """From a calibration file to OpenCV's and back: the same camera, the same planes."""
     calibrated.save(tmp_path / "line.yaml")
-    done = CliRunner().invoke(app, ["export", str(tmp_path / "line.yaml"), "opencv"])
-    assert done.exit_code == 0, done.output
+    done = typed("export", tmp_path / "line.yaml", "opencv")
     written = tmp_path / "line-opencv.yaml"
     assert str(written) in done.output
     assert read_camera(written) == pytest.approx(camera_of(calibrated.parameters), rel=1e-12)
@@ -139,10 +137,7 @@ def test_the_command_line_writes_what_is_read_back(calibrated, belt, tmp_path: P
     options = PinholeCalibratorOptions(camera=written, planes=written, height_max_mm=20.0)
     again = PinholeCalibrator(options).calibrate(belt).parameters["planes_per_mm"]
     assert again == pytest.approx(calibrated.parameters["planes_per_mm"], rel=1e-9)
-    xml = CliRunner().invoke(
-        app, ["export", str(tmp_path / "line.yaml"), "opencv", "-o", str(tmp_path / "c.xml")]
-    )
-    assert xml.exit_code == 0
+    typed("export", tmp_path / "line.yaml", "opencv", "-o", tmp_path / "c.xml")
     assert read_camera(tmp_path / "c.xml") == pytest.approx(camera_of(calibrated.parameters), rel=1e-12)
 
 
@@ -157,6 +152,6 @@ def test_what_cannot_be_written_is_told(calibrated, tmp_path: Path) -> None:
         (["line.yaml", "opencv", "-o", str(tmp_path / "c.txt")], DataError, "cannot be written"),
         (["line.yaml", "opencv", "-o", str(tmp_path / "no" / "c.yaml")], DataError, "cannot be written"),
     ):
-        done = CliRunner().invoke(app, ["export", str(tmp_path / words[0]), *words[1:]])
+        done = typed("export", tmp_path / words[0], *words[1:], code=1)
         assert isinstance(done.exception, kind), words
         assert says in str(done.exception)

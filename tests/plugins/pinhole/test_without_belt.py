@@ -8,9 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from roemetry.cli.main import app
 from roemetry.errors import CalibrationError
 from roemetry.records import CalibrationSet
 from roemetry.records.calibration import ON_BELT, ON_BOARD, Calibration
@@ -19,6 +17,7 @@ from roemetry_pinhole.boards import find_marks, plain_is_under
 from roemetry_pinhole.calibrator import PinholeCalibrator, PinholeCalibratorOptions
 from roemetry_pinhole.known_files import read_camera
 from roemetry_pinhole.pinhole_plane import camera_of, points_of
+from tests.command import typed
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +152,6 @@ def test_camera_only_writes_a_file_of_opencvs(boards: CalibrationSet, tmp_path: 
         "calibrator: {use: pinhole-plane, options: {lens: none}}\n",
         "utf-8",
     )
-    done = CliRunner().invoke(app, ["calibrate", str(tmp_path / "rig.yaml"), "--camera-only"])
-    assert done.exit_code == 0, done.output
+    done = typed("calibrate", tmp_path / "rig.yaml", "--camera-only")
     assert "camera from 8 images" in done.output
     assert read_camera(tmp_path / "camera.yaml")[:2] == pytest.approx(1200.0, rel=0.005)

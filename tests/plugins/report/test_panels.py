@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from roemetry.html import plots as svg
-from roemetry.records import AMBIGUOUS, Frame, Marks
+from roemetry.records import AMBIGUOUS, Frame, ImageArrows
 from roemetry_report import palette
 from roemetry_report.charts import height_charts, share_bar, slice_chart
 from roemetry_report.panels import arc_panel, base_image, curves, panels
@@ -138,7 +138,7 @@ def test_a_dark_sixteen_bit_picture_is_brightened_and_a_large_one_scaled(trace):
 def test_arrows_that_lead_too_far_are_counted_and_left_out(trace):
     ends = np.array([[330.0, 310.0], [5000.0, 300.0], [300.0, 720.0], [np.nan, np.nan]])
     radii, flagged = np.array([30.0, 4700.0, 420.0, np.nan]), np.array([True, False, False, False])
-    marks = Marks("centre of arc", "px", np.full(4, 4), np.full((4, 2), 300.0), ends, radii, flagged)
+    marks = ImageArrows("centre of arc", "px", np.full(4, 4), np.full((4, 2), 300.0), ends, radii, flagged)
     panel = arc_panel(marks, trace.stripes, 1, (480, 640), "k")
     drawing = ElementTree.fromstring(panel.drawing)
     groups = {g.get("class"): [points(p.get("d")) for p in g] for g in drawing.iter("g")}
@@ -153,7 +153,7 @@ def test_arrows_that_lead_too_far_are_counted_and_left_out(trace):
     assert width < 640 and height < 480, "zoomed to the product"
     assert x <= 330 <= x + width and y <= 310 <= y + height
     empty = np.empty((0, 2))
-    none = Marks("centre", "px", np.empty(0, int), empty, empty, np.empty(0), np.empty(0, bool))
+    none = ImageArrows("centre", "px", np.empty(0, int), empty, empty, np.empty(0), np.empty(0, bool))
     assert arc_panel(none, trace.stripes, 9, (480, 640), "k") is None
     assert "0 arrows" in "; ".join(arc_panel(none, trace.stripes, 1, (480, 640), "k").notes)
 

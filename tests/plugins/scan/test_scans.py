@@ -236,12 +236,12 @@ def test_frames_that_cannot_be_used_are_left_out_and_more_of_them_are_refused(
 def test_a_slice_that_ends_before_the_product_does_may_be_larger_by_what_is_not_seen(seen: Scan) -> None:
     stripes, lines = seen
     whole = placed(stripes, lines)
-    assert whole.beside_mm3[1] < 2e-3 * TRUE_MM3
+    assert whole.unseen_margin_mm3[1] < 2e-3 * TRUE_MM3
     cut = np.isin(np.arange(stripes.rows), np.arange(100, 145))[None, :]
     dim = showing(stripes, np.where(cut, np.nan, stripes.x_px))
     lost = volume(seen) - volume((dim, lines))
     assert lost > 0.1 * TRUE_MM3
-    assert lost < placed(dim, lines).beside_mm3[1] < 2.0 * lost
+    assert lost < placed(dim, lines).unseen_margin_mm3[1] < 2.0 * lost
 
 
 def test_what_is_dark_between_two_products_or_up_to_the_image_s_side_belongs_to_one_slice(seen: Scan) -> None:
@@ -253,7 +253,7 @@ def test_what_is_dark_between_two_products_or_up_to_the_image_s_side_belongs_to_
         whole, parts = placed(stripes, lines), placed(dim, lines)
         lost = np.nansum(np.where(whole.product > 0, whole.xyz_mm[..., 2], 0.0)[:, dark]) * _cell_mm2(whole)
         for number in range(1, parts.product.max() + 1):
-            assert 0.7 * lost < parts.beside_mm3[number] < (0.7 + most) * lost
+            assert 0.7 * lost < parts.unseen_margin_mm3[number] < (0.7 + most) * lost
 
 
 def _cell_mm2(profiles: Profiles) -> float:

@@ -12,10 +12,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.stats import binom
-from typer.testing import CliRunner
 
 from roemetry.calibrating.known_products import read_samples
-from roemetry.cli.main import app
 from roemetry.errors import DataError, RoemetryError, StageError
 from roemetry.records import Fitted, Samples
 from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_of
@@ -24,6 +22,7 @@ from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions
 from roemetry_shape.learned import Learned, LearnedOptions, _folds, fit_classifier, load_model
 from roemetry_shape.novelty import GOOD_SPREAD, excess_norm, lower_bound, seen_classes
 from roemetry_shape.shape_limits import ShapeLimits, ShapeLimitsOptions
+from tests.command import typed
 
 DOME, SLAB = product_of(HALF_ELLIPSOID), product_of(BOX)
 
@@ -216,8 +215,7 @@ def test_the_verb_learns_from_a_table(rng: np.random.Generator, tmp_path: Path) 
     labels = table(tmp_path / "labels.csv", ["id", "label"], *answers)
     out = tmp_path / "m.json"
     words = ["fit-classifier", str(data), "--labels", str(labels), "--good", "good", "--out", str(out)]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, done.output
+    done = typed(*words)
     assert "balanced_accuracy" in done.stdout
     assert load_model(out).classes == ("bend", "dent", "good")
 

@@ -5,9 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from roemetry.cli.main import app
 from roemetry.config.scene import Scene
 from roemetry.errors import ConfigurationError, PluginError, StageError
 from roemetry.stages.registry import Registry, discover
@@ -28,6 +26,7 @@ from roemetry_simulate.planner import RigPlanner, as_lines, simulated_scatter, s
 from roemetry_simulate.render import Sensor
 from roemetry_simulate.scene import RayCasterOptions, rig_of
 from roemetry_tools.plan.page import plan_of
+from tests.command import typed
 
 H_MM, BESIDE_MM, FOCAL_PX, SPACING_MM = 300.0, 150.0, 1500.0, 10.0
 CAMERA = looking_down(640, 480, pixel_size_mm=0.01, focal_length_mm=15.0, distance_mm=H_MM)
@@ -268,7 +267,7 @@ def test_what_cannot_be_planned_is_refused_with_its_place(scene, tmp_path):
     with pytest.raises(PluginError, match="there is no planner"):
         plan_of(Scene.load(scene), simulate=False, registry=without)
     scene.write_text(SCENE.replace("CENTRE", "500.0"), "utf-8")
-    done = CliRunner().invoke(app, ["plan", str(scene), "--out", str(tmp_path / "plan.html")])
+    done = typed("plan", scene, "--out", tmp_path / "plan.html", code=1)
     assert isinstance(done.exception, ConfigurationError)
     assert re.search(r"scene\.yaml:6:\d+: .*the laser misses the view", str(done.exception))
     assert not (tmp_path / "plan.html").exists()
@@ -276,8 +275,7 @@ def test_what_cannot_be_planned_is_refused_with_its_place(scene, tmp_path):
 
 def test_the_command_writes_one_page_that_needs_nothing_or_json(scene, tmp_path, monkeypatch):
     out = tmp_path / "new" / "plan.html"
-    done = CliRunner().invoke(app, ["plan", str(scene), "--out", str(out), "--simulate"])
-    assert done.exit_code == 0, done.output
+    done = typed("plan", scene, "--out", out, "--simulate")
     assert "Height for one pixel, belt" in done.output
     assert "Predicted and simulated" in done.output
     page = out.read_text("utf-8")
@@ -288,7 +286,7 @@ def test_the_command_writes_one_page_that_needs_nothing_or_json(scene, tmp_path,
     assert "nan" not in re.sub(r"<pre>.*?</pre>", "", page, flags=re.S).replace("finance", "")
     monkeypatch.chdir(tmp_path)
     args = ["plan", str(scene), "--json", "--set", "simulator.options.laser.planes=15"]
-    told = json.loads(CliRunner().invoke(app, args).output, parse_constant=lambda word: pytest.fail(word))
+    told = json.loads(typed(*args).output, parse_constant=lambda word: pytest.fail(word))
     assert told["figures"]["spacing-height"]["unit"] == "mm"
     assert told["figures"]["sharp-from"]["value"] is None
     assert len(told["tables"]["stripes"]["columns"][0]["values"]) == 15

@@ -15,10 +15,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
 from roemetry.calibrating.sphere_plate import fit_sphere
-from roemetry.cli.main import app
 from roemetry.errors import DataError
 from roemetry.records import NOTHING, Block, Profiles, SpherePlate, Staircase
 from roemetry.run.workers import Processes
@@ -26,6 +24,7 @@ from roemetry_study.acceptance import Artefact, Value, decide, dispersion, measu
 from roemetry_study.certificate import Certificate, Table, new_key, software_sha256, verify, write
 from roemetry_study.reports import of_acceptance
 from roemetry_study.study_files import read_acceptance
+from tests.command import typed
 
 PLATE = SpherePlate("plate", 3, 2, 30.0, 20.0, 15.0, 0.01)
 
@@ -181,8 +180,7 @@ def test_unsigned_and_foreign_files_are_refused(certificate: Certificate, tmp_pa
 
 def test_the_commands_from_a_table_to_a_verified_page(tmp_path: Path) -> None:
     def run(*words: str) -> str:
-        outcome = CliRunner().invoke(app, list(words))
-        assert outcome.exit_code == 0, outcome.output
+        outcome = typed(*list(words))
         return outcome.output
 
     table = str(Path(__file__).parent / "aiag.csv")

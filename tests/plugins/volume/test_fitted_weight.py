@@ -11,10 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from roemetry.calibrating.known_products import read_weighed, read_weights
-from roemetry.cli.main import app
 from roemetry.config.dataset import Dataset
 from roemetry.errors import ConfigurationError, DataError, StageError
 from roemetry.records import Samples
@@ -271,7 +269,7 @@ def test_from_a_run_to_weights_and_back(tmp_path: Path) -> None:
     """Ten shipped skeins, their true masses from the truth: run, fit, run, check."""
 
     def typed(*words: object, code: int = 0) -> str:
-        done = CliRunner().invoke(app, [str(word) for word in words])
+        done = typed(*[str(word) for word in words])
         assert done.exit_code == code, done.output
         return done.output
 

@@ -18,7 +18,7 @@ from roemetry_volume.footprint import area_of
 from roemetry_volume.outline_surface import OutlineSurface
 from roemetry_volume.rim import StripePoints, ends_of
 from roemetry_volume.slice_estimators import SlicePchip
-from roemetry_volume.surface_fit import Knots, fuse, plate_through, points_of, without_slice
+from roemetry_volume.surface_fit import Knots, fit_surface, plate_through, points_of, without_slice
 from roemetry_volume.underside import UndersideOptions
 
 CAMERA_MM, F_PX, ROWS, COLUMNS = 320.0, 1600.0, 480, 640
@@ -377,7 +377,7 @@ def test_belt_peaks_behind_unseen_rows_do_not_pull_the_rim_down(beyond: int) -> 
     made, true_mm3 = dome(wall=8.0)
     spoilt = with_belt_peaks(made, beyond)
     assert points_of(spoilt).xyz_mm[:, 2].min() == pytest.approx(points_of(made).xyz_mm[:, 2].min())
-    fused = fuse(spoilt, spoilt.view, spoilt.outline)
+    fused = fit_surface(spoilt, spoilt.view, spoilt.outline)
     assert fused.volume_mm3 == pytest.approx(true_mm3, rel=0.01)
     as_high = with_belt_peaks(made, 2, z_mm=7.0)
     assert points_of(as_high).xyz_mm.shape[0] > points_of(made).xyz_mm.shape[0]
@@ -388,7 +388,7 @@ def test_a_speck_behind_unseen_rows_outside_the_outline_is_no_surface() -> None:
     spoilt = with_belt_peaks(made, 1, z_mm=7.0)
     held = points_of(spoilt, spoilt.view, spoilt.outline).xyz_mm
     np.testing.assert_array_equal(held, points_of(made).xyz_mm)
-    assert fuse(spoilt, spoilt.view, spoilt.outline).volume_mm3 == pytest.approx(true_mm3, rel=0.01)
+    assert fit_surface(spoilt, spoilt.view, spoilt.outline).volume_mm3 == pytest.approx(true_mm3, rel=0.01)
     wide = replace(spoilt.outline, xy_std_px=5.0)
     assert len(points_of(spoilt, spoilt.view, wide).xyz_mm) > len(held), "an outline that may lie farther out"
 
@@ -424,7 +424,7 @@ def test_rows_down_a_wall_that_the_camera_sees_are_no_end_of_the_top(rows: int) 
 @pytest.mark.parametrize("made", [box, dome, half_cylinder])
 def test_the_nodes_stand_for_all_of_the_footprint(made) -> None:
     product = made()[0]
-    fused = fuse(product, product.view, product.outline)
+    fused = fit_surface(product, product.view, product.outline)
     assert fused.weight_mm2.sum() == pytest.approx(abs(area_of(fused.contour)), rel=1e-9)
 
 
@@ -434,4 +434,4 @@ def test_a_wall_that_faces_the_camera_is_in_the_outline_or_too_dark_to_show(lowe
     made, true_mm3 = box(y0=17.0)
     corners = [[i, 17.0 + j, z] for i in (-30.0, 30.0) for j in (-13.0, 13.0) for z in (lowest_mm, 16.5)]
     hull = cv2.convexHull(made.view.project(np.array(corners)).astype(np.float32))[:, 0].astype(float)
-    assert fuse(made, made.view, Outline(1, hull)).volume_mm3 == pytest.approx(true_mm3, rel=0.01)
+    assert fit_surface(made, made.view, Outline(1, hull)).volume_mm3 == pytest.approx(true_mm3, rel=0.01)
