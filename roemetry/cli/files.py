@@ -132,7 +132,8 @@ def simulate(
         typer.Option(
             "--seed",
             min=0,
-            help="Item number k is drawn from the seed plus k; the same seed gives the same bytes.",
+            help="Item number k is drawn from the seed plus k, unless the scene lists it with a seed of its "
+            "own; the same seed gives the same bytes.",
         ),
     ] = 1,
     product: Annotated[
