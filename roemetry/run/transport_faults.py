@@ -11,10 +11,10 @@ a line thinner than a pixel are sharp. A join that crosses no stripe on a produc
 
 Repeats. Noise makes every frame another one, too, where it shows light: stretches of a row that are to the
 last grey level what they were in the frame before have not been taken anew. A frame that is the very same as
-a whole is left alone: then a file was copied. Where many single words of eight bytes repeat, too, or are
-those of the row above, words tell too little: JPEG takes noise away, and of a thin stripe in one of three
-colours a word holds two or three grey levels. Pairs of words are asked then, which hold twice as much. What
-comes from another frame than the one before is not seen.
+a whole is left alone: then a file was copied. A few lit pixels repeat by accident, as a stripe's flank does
+in a word of eight bytes; four and more hardly ever do, unless JPEG has taken the noise away: then as many
+repeat alone, too, or are those of the row above. What comes from another frame than the one before is not
+seen.
 """
 
 from __future__ import annotations
@@ -69,13 +69,18 @@ larger, where a join is told by one in 32; in stripes and texture three of four 
 
 _RUN = 4
 """Words of eight bytes one after another that repeat: 32 pixels of a grey image."""
-_VARIED_GREY = 8
-"""Light varies over a stretch that spans so many grey levels: a stripe, whose photon noise is a few."""
-_RUNS_MIN = 16
-"""Stretches that repeat: less than a small block, and more than any of 61 whole pairs of frames has."""
+_LIT_GREY = 8
+"""A byte holds light that is so much brighter than the darkest one of its word: a stripe, whose photon noise
+is a few grey levels."""
+_LIT_MIN = 4
+"""Bytes with light in two words: of 104 pairs of whole frames of three makers 15 have up to four such pairs
+of words that repeat by accident, or are as in the row above; with half as many bytes up to a hundred."""
+_RUNS_MIN = 8
+"""Stretches with such a pair that repeat: less than a block of 40 × 40 pixels; no two whole frames have
+one."""
 _ALONE_SHARE = 0.5
-"""As many words that repeat alone, of the stretches: parts of another frame have up to 0.6 in small ones and
-0.09 in large ones, whole frames that JPEG has robbed of their noise 1.6 and more."""
+"""As many pairs that repeat by accident, of the stretches: blocks of another frame have up to 0.1, whole
+frames that JPEG has robbed of their noise 1.7 and more."""
 
 
 def check_repeats(laser: Frame, before: NDArray[Any]) -> None:
@@ -88,32 +93,28 @@ def check_repeats(laser: Frame, before: NDArray[Any]) -> None:
     runs = np.ascontiguousarray(again[:, : count * _RUN]).view(np.uint32) == _ALL_FOUR
     if np.count_nonzero(runs) < _RUNS_MIN:  # nearly always
         return
-    level = new == (new & np.uint64(0xFF)) * _SAME_BYTES
-    runs &= np.ascontiguousarray(level[:, : count * _RUN]).view(np.uint32) != _ALL_FOUR
     row, run = runs.nonzero()
+    stretches = new[:, : count * _RUN].reshape(len(new), count, _RUN)[row, run]
+    row = row[_pairs(_lit(stretches, ~_level(stretches))).any(axis=1)]
     if len(row) < _RUNS_MIN or again.all():
         return
-    stretches = new[:, : count * _RUN].reshape(len(new), count, _RUN)[row, run]
-    near = runs.copy()  # the rest of a part's rows is no accident
-    near[:, 1:] |= runs[:, :-1]
-    near[:, :-1] |= runs[:, 1:]
-    alone = ~level & again
+    lit = ~_level(new)
+    near = runs & lit[:, : count * _RUN].reshape((*runs.shape, _RUN)).any(axis=2)
+    near[:, 1:] |= near[:, :-1].copy()  # the rest of a part's rows is no accident
+    near[:, :-1] |= near[:, 1:].copy()
+    alone = lit & again
     alone[:, : count * _RUN] &= ~np.repeat(near, _RUN, axis=1)
     alone[:, count * _RUN :] = False
-    by_accident = [_varied_words(new, alone)]
-    by_accident.append(_varied_words(new[1:], (new[1:] == new[:-1]) & ~level[1:]))
-    in_stretches = _varied_words(stretches, np.ones(stretches.shape, np.bool_))
-    for told, accidents in (
-        (row[_varied(stretches)], by_accident),
-        (row[_pairs(in_stretches).any(axis=1)], map(_pairs, by_accident)),
-    ):
-        if len(told) >= _RUNS_MIN and sum(map(np.count_nonzero, accidents)) <= _ALONE_SHARE * len(told):
-            raise DataError(
-                f"{laser.name}: from row {told.min()} to row {told.max()} a part of the image is identical "
-                "to the image before, to the last grey level, which a sensor's noise makes impossible: one "
-                "of the two contains a part of the other",
-                hint="look at cable, network and frame grabber; take the image again",
-            )
+    by_accident = np.count_nonzero(_pairs(_lit(new, alone)))
+    by_accident += np.count_nonzero(_pairs(_lit(new[1:], lit[1:] & (new[1:] == new[:-1]))))
+    if by_accident > _ALONE_SHARE * len(row):
+        return
+    raise DataError(
+        f"{laser.name}: from row {row.min()} to row {row.max()} a part of the image is identical to the "
+        "image before, to the last grey level, which a sensor's noise makes impossible: one of the two "
+        "contains a part of the other",
+        hint="look at cable, network and frame grabber; take the image again",
+    )
 
 
 _SAME_BYTES = np.uint64(0x0101010101010101)
@@ -127,22 +128,22 @@ def _words(pixels: NDArray[Any]) -> NDArray[np.uint64]:
     return np.ascontiguousarray(rows[:, : rows.shape[1] // 8 * 8]).view(np.uint64)
 
 
-def _varied(stretches: NDArray[np.uint64]) -> NDArray[np.bool_]:
-    """Say over which stretches, (stretch, word), light varies."""
-    grey = np.ascontiguousarray(stretches).view(np.uint8).reshape(len(stretches), 8 * stretches.shape[1])
-    return np.asarray(grey.max(axis=1, initial=0) - grey.min(axis=1, initial=255) >= _VARIED_GREY)
+def _level(words: NDArray[np.uint64]) -> NDArray[np.bool_]:
+    """Say which words are one byte eight times over."""
+    return np.asarray(words == (words & np.uint64(0xFF)) * _SAME_BYTES)
 
 
-def _varied_words(words: NDArray[np.uint64], which: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Say over which of some words, (row, word), light varies."""
-    varied = which.copy()
-    varied[which] = _varied(words[which][:, None])
-    return varied
+def _lit(words: NDArray[np.uint64], which: NDArray[np.bool_]) -> NDArray[np.int8]:
+    """Count the bytes that hold light in some of the words, (row, word); 0 in the others."""
+    grey = words[which].view(np.uint8).reshape(-1, 8)
+    lit = np.zeros(words.shape, np.int8)
+    lit[which] = np.count_nonzero(grey - grey.min(axis=1, initial=255)[:, None] >= _LIT_GREY, axis=1)
+    return lit
 
 
-def _pairs(of: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Say which words, (row, word), and the ones after them are both of a kind."""
-    return np.asarray(of[:, :-1] & of[:, 1:])
+def _pairs(lit: NDArray[np.int8]) -> NDArray[np.bool_]:
+    """Say which words, (row, word), hold with the next one light that does not repeat by accident."""
+    return np.asarray(lit[:, :-1] + lit[:, 1:] >= _LIT_MIN)
 
 
 def check_lines(laser: Frame) -> None:
