@@ -27,6 +27,7 @@ from roemetry_volume.fitted_weight import (
     fit_weights,
     weight_features,
 )
+from tests.command import typed
 
 HOME = Path(__file__).resolve().parents[3] / "recipes" / "herring_roe"
 NAMES = ("visible_cm3", "end_share", "rim_share", "rim_bow_share")
@@ -268,11 +269,6 @@ def test_ids_that_do_not_meet_are_named(tmp_path: Path) -> None:
 def test_from_a_run_to_weights_and_back(tmp_path: Path) -> None:
     """Ten shipped skeins, their true masses from the truth: run, fit, run, check."""
 
-    def typed(*words: object, code: int = 0) -> str:
-        done = typed(*[str(word) for word in words])
-        assert done.exit_code == code, done.output
-        return done.output
-
     def run(out: str, *sets: str) -> Path:
         told = [word for one in ("stages.classifier=", "uncertainty=none", *sets) for word in ("--set", one)]
         typed("run", HOME, *told, "--out", tmp_path / out)
@@ -285,9 +281,9 @@ def test_from_a_run_to_weights_and_back(tmp_path: Path) -> None:
     data, model = Dataset(HOME), tmp_path / "weight.json"
     first = run("a", "stages.weigher=fitted", "sinks=[{use: csv, options: {features: true}}]")
     right = weights("weights.csv", 1.0)
-    said = typed("fit-weight", first / "results.csv", "--weights", right, "--out", model)
+    said = typed("fit-weight", first / "results.csv", "--weights", right, "--out", model).output
     assert "10 weighed products" in said
     second = run("b", f"stages.weigher={{use: fitted, options: {{model: {model}}}}}")
-    found = json.loads(typed("check-weight", second, right, "--json"))
+    found = json.loads(typed("check-weight", second, right, "--json").output)
     assert (found["verdict"], found["pairs"]) == ("holds", 10)
-    assert "fit again" in typed("check-weight", second, weights("heavy.csv", 1.2), code=1)
+    assert "fit again" in typed("check-weight", second, weights("heavy.csv", 1.2), code=1).output
