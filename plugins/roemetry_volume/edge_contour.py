@@ -89,8 +89,8 @@ three renderers 67 have none, a spotted potato 0.5 %; with a block of another fr
 
 _WITHIN_PX, _WITHIN_SHARE = 8.0, 0.02
 """Where stripes lie on the belt so far within the body in the plain image, one of both is not of this frame:
-as many points as such a part of the product's. Of 62 sound products of three renderers none has any at half
-of that depth; with a block of another frame over the end of a potato it is 19 %."""
+as many points as such a part of the product's. Of 67 sound products of three renderers none has any at half
+of that depth; with a block of another frame over the end of a potato it is 5 %."""
 
 
 class EdgeContourOptions(StageOptions):
