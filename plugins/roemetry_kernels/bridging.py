@@ -172,11 +172,11 @@ def off_belt_and_bridged(
 ) -> Flags:
     """Say which points lie off the belt, and bridge short gaps by straight lines, in place.
 
-    A run off the belt that is too short is taken back to the belt, and so is one that is nowhere far from it:
-    where a product's shadow cuts a belt stripe lengthwise, its peak shifts by a pixel or two, away from where
-    products displace it; where a product's lit side cuts one, only scraps of it are left. A near run that is
-    neither and lies along product on the next stripe is where that thins out (`_keep_thin`). A gap beside a
-    product is its.
+    A run lies on one side of its rest line. One that is too short is taken back to the belt, and so is one
+    that is nowhere far from it: where a product's shadow cuts a belt stripe lengthwise, its peak shifts by a
+    pixel or two, away from where products displace it; where a product's lit side cuts one, only scraps of it
+    are left. A near run that is neither and lies along product on the next stripe is where that thins out
+    (`_keep_thin`). A gap beside a product is its.
 
     Parameters
     ----------
@@ -215,6 +215,8 @@ def off_belt_and_bridged(
             end, farthest, sign = begin, 0.0, 0
             while end < count and off_belt[s, seen[end]]:
                 off = x_px[s, seen[end]] - rest_px[s, seen[end]]
+                if off * sign < 0.0:
+                    break  # the other side of the belt: what a shadow shifts there is not the product's end
                 farthest = max(farthest, np.inf if np.isnan(off) else abs(off))
                 sign += 1 if off > 0.0 else -1 if off < 0.0 else 0
                 end += 1

@@ -49,3 +49,14 @@ def test_a_thin_end_with_gaps_is_product_and_the_gaps_are_its():
     x_px[2, 40:60:2] = np.nan
     assert on_product(x_px, rest_px).tolist() == [1, 1, 1]
     assert np.isfinite(x_px).all()
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_belt_that_a_shadow_shifts_behind_a_gap_is_not_the_products_end(side):
+    x_px, rest_px = stripes(8.0, side=side)
+    x_px[0, 60:75] = np.nan
+    x_px[0, 75:80] = rest_px[0, 75:80] - 1.3 * side
+    x_px[0, 80:ROWS] = rest_px[0, 80:ROWS]
+    off_belt = off_belt_and_bridged(x_px, rest_px, TOLERANCE_PX, REACH_PX, GAP_ROWS)[0]
+    assert off_belt[ON.start : 75].all()
+    assert not off_belt[75:].any()
