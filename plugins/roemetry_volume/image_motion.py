@@ -6,10 +6,11 @@ scratches as in plain light. With both images high-passed, what the laser image 
     b(x) = g · a(W x) + noise,    W x = x + shift + (turn, growth) about the middle,
 
 where a is log(plain). W is the least-squares solution (Lucas & Kanade, IJCAI 1981), from coarse to fine; its
-covariance is that of the noise, correlated over the smoothing. Camera or belt may have moved between the two
-images, or one is of another scale: then the plain image is brought back over the laser image. And the images
-are compared part by part: where the texture that must be seen is not, the frames are not of one scene: rows
-or columns of one are lost, or a part of it is another frame's.
+covariance is that of the noise, correlated over the smoothing. Where no step gets there, the fit begins at
+the shift of the highest cross-correlation. Camera or belt may have moved between the two images, or one is of
+another scale: then the plain image is brought back over the laser image. And the images are compared part by
+part: where the texture that must be seen is not, the frames are not of one scene: rows or columns of one are
+lost, or a part of it is another frame's.
 
 Fails, and says nothing, where no ambient light reaches the belt or the belt has no texture.
 """
@@ -39,6 +40,8 @@ _ROUNDS = 20
 """At most: from growth by 3 % five rounds came half the way, and what they gave was believed."""
 _GROWTHS = (-0.04, 0.04)
 """Where nothing is found, images that have grown by so much are tried."""
+_SHIFT_MAX = 20
+"""Pixels of the finest level, 40 px of the image: shifts that are tried where no fit finds the texture."""
 _STILL_SIGMAS = 3.0
 """A first step on the finest level that is less than that, between images that are alike everywhere: nothing
 has moved, and what follows would only say so again."""
@@ -189,12 +192,31 @@ def image_motion(
         fits = [_fitted(texture, start, every) for start in starts]
         found = max((fit for fit in fits if fit is not None), key=lambda fit: fit.sigmas, default=None)
         motion = still if found is None else found.motion
+    if found is None:
+        found = _fitted(finest, _likeliest_shift(finest), 2.0)
     if found is not None and not found.significant(_MOVED_SIGMAS):
         return found
     unmoved = _parts(finest, still, 2.0)
     if unmoved is None or unmoved.missed is None or (found is not None and found.alike > unmoved.alike):
         return found
     return unmoved
+
+
+def _likeliest_shift(level: _Level) -> Floats:
+    """Give the shift, as a motion (4,), by which the textures of the finest level correlate best.
+
+    Steps of a fit do not get there where the shift is larger than the texture's grains, and coarser levels do
+    not show these.
+    """
+    from scipy.fft import irfft2, rfft2
+
+    dim = np.zeros(level.dim.size, np.float32)
+    dim.ravel()[level.dim.place] = level.dim.value
+    likeness = irfft2(rfft2(level.bright[0]) * np.conj(rfft2(dim)), dim.shape)
+    reach = [min(_SHIFT_MAX, size // 2) for size in dim.shape]
+    near = np.roll(likeness, reach, axis=(0, 1))[: 2 * reach[0] + 1, : 2 * reach[1] + 1]
+    down, across = np.unravel_index(int(near.argmax()), near.shape)
+    return np.array([2.0 * (across - reach[1]), 2.0 * (down - reach[0]), 0.0, 0.0])
 
 
 def logarithm(pixels: NDArray[Any]) -> Singles:

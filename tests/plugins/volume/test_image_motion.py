@@ -35,7 +35,14 @@ NOWHERE = np.zeros((ROWS, COLUMNS), np.bool_)
 
 
 @pytest.mark.parametrize(
-    "motion", [(0.0, 0.0, 0.0, 0.0), (0.4, -0.3, 0.0, -0.005), (5.0, 4.0, 0.01, 0.01), (0.0, 0.0, 0.0, 0.002)]
+    "motion",
+    [
+        (0.0, 0.0, 0.0, 0.0),
+        (0.4, -0.3, 0.0, -0.005),
+        (5.0, 4.0, 0.01, 0.01),
+        (0.0, 0.0, 0.0, 0.002),
+        (-35.0, 18.0, 0.003, 0.0),
+    ],
 )
 def test_motion_is_found_as_surely_as_is_said(
     motion: tuple[float, float, float, float], rng: np.random.Generator
