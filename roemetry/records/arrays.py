@@ -60,7 +60,11 @@ class Checker:
         return view
 
     def _converted(self, field: str, given: object, dtype: type[np.generic]) -> NDArray[Any]:
-        value: NDArray[Any] = np.asarray(given, dtype=dtype)
+        try:
+            value: NDArray[Any] = np.asarray(given, dtype=dtype)
+        except (OverflowError, TypeError, ValueError) as error:
+            kind = type(self._record).__name__
+            raise RecordError(f"{kind}: {field} cannot be made {np.dtype(dtype)}: {error}") from error
         if np.issubdtype(dtype, np.integer) and _has_fractions(given, value):
             self._faults.append(f"{field} holds what is no whole number, expected {np.dtype(dtype)}")
         return value

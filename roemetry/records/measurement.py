@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from roemetry.errors import DataError
+from roemetry.errors import DataError, RecordError
 from roemetry.io.files import first_fault, json_values
 from roemetry.records.arrays import Number
 from roemetry.records.display import Shown, estimate, picture_of_surface, table
@@ -136,7 +136,7 @@ class Measurement(Shown):
                 }
             found: Measurement = _reader().validate_python(row)
             return found
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError, RecordError) as error:
             raise DataError(
                 f"not a measurement: {line[:60]!r}… ({first_fault(error)})",
                 hint="the line was written by another version of roemetry, or edited by hand",

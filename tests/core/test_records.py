@@ -144,6 +144,23 @@ def test_a_line_that_is_no_measurement(line: str) -> None:
         Measurement.from_json(line)
 
 
+def test_a_line_with_a_number_that_no_array_holds_is_no_measurement() -> None:
+    volume = Volume(
+        Estimate(1.0), None, Shares(1.0, 0.0, 0.0), np.array([1]), np.array([1.0]), np.array([1.0])
+    )
+    line = Measurement("a#1", "a", 1, "measured", volume=volume).to_json()
+    large = line.replace('"stripe": 1', f'"stripe": {2**70}')
+    assert large != line
+    with pytest.raises(DataError, match="not a measurement.*slice_stripe cannot be made int64"):
+        Measurement.from_json(large)
+
+
+@pytest.mark.parametrize("given", [[2**70], ["word"], [None]])
+def test_what_cannot_be_an_array_names_the_field(given: list[Any]) -> None:
+    with pytest.raises(RecordError, match="Peaks: row cannot be made int64"):
+        Peaks((4, 20), given, *[np.zeros(1)] * 6)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("make", "fault"),
     [
