@@ -148,6 +148,9 @@ def recipe_of(word: str, folder: Path) -> Recipe:
         sets = [f"source.path={folder / data}/images"]
     else:
         sets = ["source.use=dataset", f"source.path={folder / data}", "source.options={}"]
+        sensor = Dataset(folder / data).sensor  # images are measured as arrays, which say nothing of it
+        if sensor is not None and recipe.sensor is None:
+            sets.append(f"source.sensor={json.dumps(asdict(sensor))}")
     return Recipe.load(folder / path, sets=["uncertainty=linear", *sets])
 
 
