@@ -90,7 +90,7 @@ class GridLines(Extractor[GridLinesOptions]):
         given = self.options
         options = GaussianOptions(threshold=given.threshold, width_max_px=given.width_max_px)
         frames = (frame, turned(frame))
-        others = []  # what lies on each frame of the other family's light
+        others: list[Floats] = []  # what lies on each frame of the other family's light
         for each, turns in zip(frames, _TURNS, strict=True):
             peaks = gaussian_peaks(each, options, checked=False)
             along, down = _gradients(each.pixels, peaks)

@@ -272,7 +272,8 @@ def _belt_within(
 
     `depth_px` says of every fourth pixel how far it lies within the body.
     """
-    rows, columns = np.nonzero(_belt_stripes(stripes, number, (size[0], size[1])))
+    drawn = _belt_stripes(stripes, number, (size[0], size[1]))
+    rows, columns = np.divmod(np.flatnonzero(drawn.view(np.bool_)), size[1])
     last = depth_px.shape[0] - 1, depth_px.shape[1] - 1
     depth = depth_px[np.minimum(rows // _COARSE, last[0]), np.minimum(columns // _COARSE, last[1])]
     families = (stripes,) if stripes.across is None else (stripes, stripes.across)
@@ -357,14 +358,14 @@ def _over_belt(pixels: NDArray[Any], belt: NDArray[Any] | None, product: Flags) 
     import cv2
 
     few = np.s_[::_SAMPLED, ::_SAMPLED]  # they tell in which colour product and belt differ most
-    if pixels.ndim == 3 and belt is None:
+    if pixels.ndim == 3 and belt is not None:
+        planes = [_over_belt(pixels[..., k], belt[..., k], product) for k in range(3)]
+        return max(planes, key=lambda plane: _contrast(plane[few], product[few]))
+    if pixels.ndim == 3:
         colours = [pixels[..., k] for k in range(3)]
         seen = [logarithm(one[few]) - _own_belt(one, product, _SAMPLED) for one in colours]
         most = max(range(3), key=lambda k: _contrast(seen[k], product[few]))
         return _over_belt(colours[most], None, product)
-    if pixels.ndim == 3:
-        planes = [_over_belt(pixels[..., k], belt[..., k], product) for k in range(3)]
-        return max(planes, key=lambda plane: _contrast(plane[few], product[few]))
     bright = logarithm(pixels)
     if belt is not None:
         smooth = cv2.GaussianBlur(belt.astype(np.float32), (0, 0), _BELT_SMOOTH_PX)
