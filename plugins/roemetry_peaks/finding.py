@@ -69,6 +69,7 @@ def found(
     *settings: Any,
     weighs_speckle: bool = False,
     beyond_linear: float = 0.0,
+    checked: bool = True,
 ) -> Peaks:
     """Find the stripes of a frame and measure the centre of each by a kernel.
 
@@ -87,6 +88,8 @@ def found(
     beyond_linear
         By which share, over the contrast's square, speckle scatters these centres more than each pixel's pull
         on them tells: a strong one changes the pulls themselves. Found by drawing.
+    checked
+        Whether uncertainties are held against the image, and what is doubtful is said and marked.
     """
     pixels = plain_layout(grey(frame))
     area = searched(frame, options.region)
@@ -127,6 +130,8 @@ def found(
         fields = _with_leaving(fields, levels, columns, area, frame, stripes, x_px)
     # Speckle is as long along the stripe as across it; the sensor's noise is not correlated at all.
     rows = options.speckle_length_px if speckled else 0.0
+    if not checked:
+        return Peaks(image_size=frame.size, correlation_rows=rows, **fields)
     fields["x_std_px"], contradictions = corrected(
         pixels, **fields, sensor=(float(noise[0]), float(noise[1]))
     )

@@ -49,7 +49,14 @@ class Gaussian(RowExtractor[GaussianOptions]):
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        return found(frame, self.options, gaussian_centres, weighs_speckle=True, beyond_linear=_BEYOND_LINEAR)
+        return gaussian_peaks(frame, self.options)
+
+
+def gaussian_peaks(frame: Frame, options: GaussianOptions, *, checked: bool = True) -> Peaks:
+    """Find the stripes of a frame; `checked` as for `roemetry_peaks.finding.found`."""
+    return found(
+        frame, options, gaussian_centres, weighs_speckle=True, beyond_linear=_BEYOND_LINEAR, checked=checked
+    )
 
 
 _REACH = 2.6  # standard deviations to both sides that are fitted

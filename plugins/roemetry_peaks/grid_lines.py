@@ -29,7 +29,7 @@ from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import float_kernel, kernel
-from roemetry_peaks.gaussian import Gaussian, GaussianOptions
+from roemetry_peaks.gaussian import GaussianOptions, gaussian_peaks
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA
 
 _FINE_PX = 1.0
@@ -44,6 +44,8 @@ _STEP_PX = 1.5
 """Of a line from one row to the next: lines steeper than 56° belong to the other family."""
 _GAP_ROWS = 16
 """Longest part of a line that is hidden by a crossing: three widths of an oblique line."""
+_SLOPE_ROWS = 8
+"""Over which the slope at a line's end is taken: some twice its width."""
 _SLOPE_OFF = 0.35
 """By which a line's slope over a gap may differ from those at its ends."""
 _REACH = 3.5
@@ -61,6 +63,8 @@ _ALONE = 0.02
 """Of a peak's height, below which the other line's light does not move it."""
 _CLIPPED_PX = 7
 """Along the row, in which no pixel of a crossing may be white."""
+_TURNS = (1, -1)
+"""Quarters counter-clockwise, by which the light of each family is turned to lie on the other one's frame."""
 
 
 class GridLinesOptions(StageOptions):
@@ -84,29 +88,28 @@ class GridLines(Extractor[GridLinesOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the lines of a frame; those across in `Peaks.across`."""
         given = self.options
-        one = Gaussian(GaussianOptions(threshold=given.threshold, width_max_px=given.width_max_px))
+        options = GaussianOptions(threshold=given.threshold, width_max_px=given.width_max_px)
         frames = (frame, turned(frame))
-        light = []
-        for each in frames:
-            peaks = one.extract(each)
+        others: list[Floats] = []  # what lies on each frame of the other family's light
+        for each, turns in zip(frames, _TURNS, strict=True):
+            peaks = gaussian_peaks(each, options, checked=False)
             along, down = _gradients(each.pixels, peaks)
-            light.append(_light_of(peaks, along > _DIRECTED * down))
+            others.insert(0, _light_of(peaks, along > _DIRECTED * down, turns))
         # where a line ends behind a crossing, too near for its direction to show, the second round knows it
         for _ in range(_TIMES - 1):
-            found = self._both(one, frames, light)
-            light = [_light_of(*family) for family in found]
-        found = self._both(one, frames, light)
-        return replace(found[0][0], across=found[1][0])
-
-    @staticmethod
-    def _both(
-        one: Gaussian, frames: tuple[Frame, Frame], light: list[Floats]
-    ) -> tuple[tuple[Peaks, Flags, Flags], tuple[Peaks, Flags, Flags]]:
-        upright, across = light
-        return (
-            _without(one, frames[0], np.ascontiguousarray(np.rot90(across, -1))),
-            _without(one, frames[1], np.ascontiguousarray(np.rot90(upright))),
+            found = [
+                _without(options, each, light, checked=False)
+                for each, light in zip(frames, others, strict=True)
+            ]
+            others = [
+                _light_of(peaks, sure, turns, crossing)
+                for (peaks, sure, crossing), turns in zip(found, _TURNS, strict=True)
+            ][::-1]
+        upright, across = (
+            _without(options, each, light, checked=True)[0]
+            for each, light in zip(frames, others, strict=True)
         )
+        return replace(upright, across=across)
 
 
 def turned(frame: Frame) -> Frame:
@@ -114,23 +117,25 @@ def turned(frame: Frame) -> Frame:
     return replace(frame, pixels=np.ascontiguousarray(np.rot90(frame.pixels)))
 
 
-def _light_of(peaks: Peaks, kept: Flags, crossing: Flags | None = None) -> Floats:
+def _light_of(peaks: Peaks, kept: Flags, turns: int, crossing: Flags | None = None) -> Floats:
     """Give the light of the lines that cross rows, as an image, grey levels over what is beside them.
 
     `kept` (peak,) says which peaks are known to be of such lines, `crossing` which are, where light was taken
-    away: they count where the line does not go on behind, for what lies between its sound parts is surer.
+    away: they count where the line does not go on behind, for what lies between its sound parts is surer. The
+    image is turned by `turns` quarters counter-clockwise.
     """
     row = peaks.row[kept]
     numbers = _numbers(peaks, kept)
-    ahead = _neighbour(row, numbers[:, 0])
-    hidden_row, hidden = _hidden(row, numbers, ahead)
+    hidden_row, hidden = _hidden(row, numbers, _neighbour(row, numbers[:, 0]))
     row, numbers = np.concatenate([row, hidden_row]), np.concatenate([numbers, hidden])
     if crossing is not None and crossing.any():
         at_row, more = peaks.row[crossing], _numbers(peaks, crossing)
         free = _apart(at_row, more[:, 0], hidden_row, hidden[:, 0]) > _SAME_PX
         row = np.concatenate([row, at_row[free]])
         numbers = np.concatenate([numbers, more[free]])
-    return _painted(row, numbers, peaks.image_size)
+    light = np.zeros(peaks.image_size[::-1])
+    _paint(np.rot90(light, -turns), row, numbers)
+    return light
 
 
 def _numbers(peaks: Peaks, which: Flags) -> Floats:
@@ -192,49 +197,61 @@ def _apart(row: Integers, x_px: Floats, other_row: Integers, other_px: Floats) -
     return np.asarray(np.minimum(key - others[at - 1], others[at] - key))
 
 
+@kernel
 def _hidden(row: Integers, numbers: Floats, ahead: Integers) -> tuple[Integers, Floats]:
-    """Give rows and numbers, x, height and size, of what lies between ends of lines and where they go on."""
-    behind = np.full(row.size, -1)
-    behind[ahead[ahead >= 0]] = np.flatnonzero(ahead >= 0)
-    end, begin = np.flatnonzero((ahead < 0) & (behind >= 0)), np.flatnonzero((behind < 0) & (ahead >= 0))
-    far = row[begin][None, :] - row[end][:, None]
-    way = numbers[begin, 0][None, :] - numbers[end, 0][:, None]
-    slope = way / np.maximum(far, 1)
-    steep = np.maximum(
-        np.abs(slope - _slope(numbers[:, 0], behind, end)[:, None]),
-        np.abs(slope - _slope(numbers[:, 0], ahead, begin)[None, :]),
-    )
-    steep = np.where((far > 1) & (far <= _GAP_ROWS), steep, np.inf)
-    if not steep.size:
-        return np.empty(0, np.int64), np.empty((0, 3))
-    best = steep.argmin(axis=1)
-    own = (steep[np.arange(end.size), best] < _SLOPE_OFF) & (
-        steep.argmin(axis=0)[best] == np.arange(end.size)
-    )
-    one, other = end[own], begin[best[own]]
-    between = row[other] - row[one] - 1
-    which = np.repeat(np.arange(one.size), between)
-    step = np.arange(which.size) - np.repeat(np.cumsum(between) - between, between) + 1
-    share = step / (between[which] + 1)
-    way = numbers[other] - numbers[one]
-    return row[one[which]] + step, numbers[one[which]] + share[:, None] * way[which]
+    """Give rows and numbers, x, height and size, of what lies between ends of lines and where they go on.
+
+    An end and a beginning belong together where each is for the other the one that bends the line least.
+    """
+    count = row.size
+    behind = np.full(count, -1)
+    for k in range(count):
+        if ahead[k] >= 0:
+            behind[ahead[k]] = k
+    least, partner = np.full(count, np.inf), np.full(count, -1)
+    for end in range(count):
+        if ahead[end] >= 0 or behind[end] < 0:
+            continue
+        before = _slope(row, numbers, behind, end)
+        for begin in range(end + 1, count):
+            far = row[begin] - row[end]
+            if far > _GAP_ROWS:
+                break
+            if far < 2 or behind[begin] >= 0 or ahead[begin] < 0:
+                continue
+            slope = (numbers[begin, 0] - numbers[end, 0]) / far
+            steep = max(abs(slope - before), abs(slope - _slope(row, numbers, ahead, begin)))
+            if steep < least[end]:
+                least[end], partner[end] = steep, begin
+            if steep < least[begin]:
+                least[begin], partner[begin] = steep, end
+    between = 0
+    for end in range(count):
+        begin = partner[end]
+        if begin > end and least[end] < _SLOPE_OFF and partner[begin] == end:
+            between += row[begin] - row[end] - 1
+    rows, found, n = np.empty(between, np.int64), np.empty((between, 3)), 0
+    for end in range(count):
+        begin = partner[end]
+        if begin > end and least[end] < _SLOPE_OFF and partner[begin] == end:
+            far = row[begin] - row[end]
+            for step in range(1, far):
+                rows[n] = row[end] + step
+                for k in range(3):
+                    found[n, k] = numbers[end, k] + step / far * (numbers[begin, k] - numbers[end, k])
+                n += 1
+    return rows, found
 
 
-def _slope(x_px: Floats, way: Integers, at: Integers) -> Floats:
-    """Give px a row, over as many as eight rows, of lines that lead from peaks away by `way`."""
-    last, steps = at.copy(), np.zeros(at.size)
-    for _ in range(8):
-        on = way[last] >= 0
-        last, steps = np.where(on, way[last], last), steps + on
-    moved = x_px[last] - x_px[at]
-    return np.asarray(moved / np.maximum(steps, 1.0) * np.where(last < at, -1.0, 1.0))
-
-
-def _painted(row: Integers, numbers: Floats, size: tuple[int, int]) -> Floats:
-    """Draw a Gaussian along its row for each of (n, 3) x, height and standard deviation."""
-    light = np.zeros(size)
-    _paint(light, row, numbers)
-    return light
+@kernel
+def _slope(row: Integers, numbers: Floats, way: Integers, at: int) -> float:
+    """Give px a row, over as many as eight rows, of the line that leads from a peak away by `way`."""
+    last = at
+    for _ in range(_SLOPE_ROWS):
+        if way[last] >= 0:
+            last = way[last]
+    far = row[last] - row[at]
+    return (numbers[last, 0] - numbers[at, 0]) / far if far else 0.0
 
 
 @kernel
@@ -266,17 +283,28 @@ def _take_away(pixels: Any, light: Floats, left: Any, white: int) -> bool:
     return some
 
 
-def _without(one: Gaussian, frame: Frame, light: Floats) -> tuple[Peaks, Flags, Flags]:
+@kernel
+def _clipped_at(pixels: Any, light: Floats, row: Integers, column: Integers, white: int) -> Flags:
+    """Say (n,) where a pixel beside a place along its row is white and has light of the other family."""
+    found, half = np.zeros(row.size, np.bool_), _CLIPPED_PX // 2
+    for n in range(row.size):
+        for x in range(max(column[n] - half, 0), min(column[n] + half + 1, pixels.shape[1])):
+            found[n] |= pixels[row[n], x] >= white and light[row[n], x] >= 1.0
+    return found
+
+
+def _without(
+    options: GaussianOptions, frame: Frame, light: Floats, *, checked: bool
+) -> tuple[Peaks, Flags, Flags]:
     """Measure the lines that are left when the other family's light is taken away.
 
     Gives also (peak,) which of them run across the rows beyond doubt: where they are alone, and at crossings.
+    `checked` as for `roemetry_peaks.finding.found`.
     """
-    from scipy.ndimage import maximum_filter1d
-
     pixels = frame.pixels
     left = np.empty_like(pixels)
     some_white = _take_away(pixels, light, left, frame.highest)
-    peaks = one.extract(replace(frame, pixels=left))
+    peaks = gaussian_peaks(replace(frame, pixels=left), options, checked=checked)
     at = peaks.row, np.rint(peaks.x_px).astype(np.int64)
     beside = light[at]
     # what the other family has left shows where one of its lines ends, or was not followed
@@ -285,7 +313,7 @@ def _without(one: Gaussian, frame: Frame, light: Floats) -> tuple[Peaks, Flags, 
     # where both together are white, nobody knows how much of it is the other line's
     own = clean & (peaks.amplitude > _OWN_MIN * beside)
     if some_white:
-        own &= ~maximum_filter1d((pixels >= frame.highest) & (light >= 1.0), _CLIPPED_PX)[at]
+        own &= ~_clipped_at(pixels, light, *at, frame.highest)
     with np.errstate(divide="ignore", invalid="ignore"):
         grown = np.hypot(1.0, _REMAINS * beside / peaks.amplitude)
     kept = np.flatnonzero(own)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from roemetry.records.arrays import Flags, Floats
 from roemetry.records.cones import half_on_belt
 from roemetry.records.view import View
-from roemetry_kernels.compiling import kernel
+from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.image_levels import median_of, plain_layout
 from roemetry_volume.footprint import inside_by
 
@@ -119,11 +119,11 @@ def circle_light(pixels: NDArray[Any], view: View) -> CircleLight:
     noise = _NOISE * _SMOOTHED * _noise_of(pixels)
     belt = (away_px <= _ON_PX) & (height > max(_BELT_SHARE * usual, noise))
     ridge = height > max(_PRODUCT_SHARE * usual, noise)
-    number = cv2.connectedComponents(belt.astype(np.uint8), connectivity=8)[1]
+    number = cv2.connectedComponents(belt.view(np.uint8), connectivity=8)[1]
     return CircleLight(
         _places(belt),
         number[belt].astype(np.int32),
-        _places(_long(ridge & (away_px > _BESIDE_PX))),
+        _places_of_long(ridge & (away_px > _BESIDE_PX)),
         ridge,
         ridge & (away_px > _ON_PX),
     )
@@ -134,26 +134,40 @@ def _ridges(pixels: NDArray[Any]) -> NDArray[np.float32]:
     import cv2
 
     # a median takes single bright pixels away, and leaves lines
-    level = cv2.medianBlur(np.ascontiguousarray(pixels).astype(np.float32), 3)
+    level = cv2.medianBlur(np.ascontiguousarray(pixels), 3).astype(np.float32)
     level = cv2.GaussianBlur(level, (0, 0), _SMOOTH_PX)
     wide = cv2.copyMakeBorder(level, _WIDE_PX, _WIDE_PX, _WIDE_PX, _WIDE_PX, cv2.BORDER_REPLICATE)
     return np.asarray(ridges_of(wide))
 
 
-@kernel
+@float_kernel
 def ridges_of(wide: NDArray[np.float32]) -> NDArray[np.float32]:
     """Give what `_ridges` does of smoothed light, which has a border of `_WIDE_PX` all around."""
     rows, columns = wide.shape[0] - 2 * _WIDE_PX, wide.shape[1] - 2 * _WIDE_PX
-    height = np.zeros((rows, columns), np.float32)
+    height = np.empty((rows, columns), np.float32)
+    nothing = np.float32(0.0)
     for row in range(rows):
-        for column in range(columns):
-            i, j = row + _WIDE_PX, column + _WIDE_PX
-            at = wide[i, j]
-            if at >= max(max(wide[i - 1, j], wide[i + 1, j]), max(wide[i - 2, j], wide[i + 2, j])):
-                height[row, column] = max(at - max(wide[i - _WIDE_PX, j], wide[i + _WIDE_PX, j]), 0.0)
-            if at >= max(max(wide[i, j - 1], wide[i, j + 1]), max(wide[i, j - 2], wide[i, j + 2])):
-                rise = at - max(wide[i, j - _WIDE_PX], wide[i, j + _WIDE_PX])
-                height[row, column] = max(height[row, column], rise)
+        i, found = row + _WIDE_PX, height[row]
+        # each neighbour a line of its own, and no branch: so several columns are taken at once
+        here, above, below = wide[i], wide[i - 1], wide[i + 1]
+        above_2, below_2, above_far, below_far = (
+            wide[i - 2],
+            wide[i + 2],
+            wide[i - _WIDE_PX],
+            wide[i + _WIDE_PX],
+        )
+        for column in range(np.uint64(columns)):
+            j = column + np.uint64(_WIDE_PX)
+            at = here[j]
+            beside = max(max(above[j], below[j]), max(above_2[j], below_2[j]))
+            rise = max(at - max(above_far[j], below_far[j]), nothing)
+            down = rise if at >= beside else nothing
+            beside = max(
+                max(here[j - np.uint64(1)], here[j + np.uint64(1)]),
+                max(here[j - np.uint64(2)], here[j + np.uint64(2)]),
+            )
+            rise = max(at - max(here[column], here[j + np.uint64(_WIDE_PX)]), nothing)
+            found[column] = max(down, rise if at >= beside else nothing)
     return height
 
 
@@ -165,18 +179,19 @@ def _noise_of(pixels: NDArray[Any]) -> float:
 @kernel
 def usual_bend(pixels: NDArray[Any]) -> float:
     """Give the median size of second differences along the rows of (row, column) grey levels."""
-    bends = np.empty((pixels.shape[0], pixels.shape[1] - 2), np.int64)
-    for row in range(bends.shape[0]):
-        for column in range(bends.shape[1]):
-            left, right = np.int64(pixels[row, column]), np.int64(pixels[row, column + 2])
-            bends[row, column] = abs(left - 2 * np.int64(pixels[row, column + 1]) + right)
-    count = np.bincount(bends.ravel())
-    upto, lower = 0, -1
+    columns = pixels.shape[1] - 2
+    count = np.zeros(2 * np.int64(pixels.max()) + 1, np.int64)
+    for row in range(pixels.shape[0]):
+        line = pixels[row]
+        for column in range(np.uint64(columns)):
+            middle = 2 * np.int64(line[column + np.uint64(1)])
+            count[abs(np.int64(line[column]) - middle + np.int64(line[column + np.uint64(2)]))] += 1
+    many, upto, lower = pixels.shape[0] * columns, 0, -1
     for size in range(count.size):  # of an even number the middle two's mean
         upto += count[size]
-        if lower < 0 and 2 * upto >= bends.size:
+        if lower < 0 and 2 * upto >= many:
             lower = size
-        if 2 * upto > bends.size:
+        if 2 * upto > many:
             return 0.5 * (lower + size)
     return 0.0
 
@@ -196,14 +211,12 @@ def _from_belt_px(view: View, size: tuple[int, ...]) -> NDArray[np.float32]:
     return found
 
 
-def _long(ridges: Flags) -> Flags:
-    """Leave out short ones."""
+def _places_of_long(ridges: Flags) -> Floats:
+    """Give the places of all but short ridges."""
     import cv2
 
-    _, number, about, _ = cv2.connectedComponentsWithStats(ridges.astype(np.uint8), connectivity=8)
-    long = about[:, cv2.CC_STAT_AREA] >= _LEAST_PX
-    long[0] = False
-    return np.asarray(long[number])
+    number = cv2.connectedComponents(ridges.view(np.uint8), connectivity=8)[1][ridges]
+    return _places(ridges)[np.bincount(number, minlength=1)[number] >= _LEAST_PX]
 
 
 def _places(where: Flags) -> Floats:

@@ -272,7 +272,8 @@ def _belt_within(
 
     `depth_px` says of every fourth pixel how far it lies within the body.
     """
-    rows, columns = np.nonzero(_belt_stripes(stripes, number, (size[0], size[1])))
+    drawn = _belt_stripes(stripes, number, (size[0], size[1]))
+    rows, columns = np.divmod(np.flatnonzero(drawn.view(np.bool_)), size[1])
     last = depth_px.shape[0] - 1, depth_px.shape[1] - 1
     depth = depth_px[np.minimum(rows // _COARSE, last[0]), np.minimum(columns // _COARSE, last[1])]
     families = (stripes,) if stripes.across is None else (stripes, stripes.across)
@@ -356,28 +357,36 @@ def _over_belt(pixels: NDArray[Any], belt: NDArray[Any] | None, product: Flags) 
     """
     import cv2
 
+    few = np.s_[::_SAMPLED, ::_SAMPLED]  # they tell in which colour product and belt differ most
+    if pixels.ndim == 3 and belt is not None:
+        planes = [_over_belt(pixels[..., k], belt[..., k], product) for k in range(3)]
+        return max(planes, key=lambda plane: _contrast(plane[few], product[few]))
     if pixels.ndim == 3:
-        planes = [
-            _over_belt(pixels[..., k], None if belt is None else belt[..., k], product) for k in range(3)
-        ]
-        return max(planes, key=lambda plane: _contrast(plane, product))
+        colours = [pixels[..., k] for k in range(3)]
+        seen = [logarithm(one[few]) - _own_belt(one, product, _SAMPLED) for one in colours]
+        most = max(range(3), key=lambda k: _contrast(seen[k], product[few]))
+        return _over_belt(colours[most], None, product)
     bright = logarithm(pixels)
     if belt is not None:
         smooth = cv2.GaussianBlur(belt.astype(np.float32), (0, 0), _BELT_SMOOTH_PX)
         bright -= np.log(smooth + np.float32(1.0))
         return np.asarray(bright - np.median(bright[~product]))
-    bright -= _own_belt(bright, product)
+    bright -= _own_belt(pixels, product, 1)
     return bright
 
 
-def _own_belt(bright: NDArray[np.float32], product: Flags) -> NDArray[np.float32]:
-    """Fit the belt's brightness where it is not product, by least squares that drop what is far off."""
-    rows, columns = bright.shape
-    apart = max(_GRID_PX, round(math.sqrt(bright.size / _GRID_POINTS)))
-    c = belt_fit(_belt_terms(rows, columns, apart), bright[::apart, ::apart], product[::apart, ::apart])
-    v, u = np.arange(rows) / rows - 0.5, np.arange(columns) / columns - 0.5
-    along = np.stack([c[0] + v * (c[2] + c[5] * v), c[1] + c[4] * v, np.full(rows, c[3])], axis=1)
-    return along.astype(np.float32) @ np.stack([np.ones(columns), u, u * u]).astype(np.float32)
+def _own_belt(pixels: NDArray[Any], product: Flags, every: int) -> NDArray[np.float32]:
+    """Give the belt's brightness on every so many rows and columns.
+
+    It is fitted where the image is not product, by least squares that drop what is far off.
+    """
+    rows, columns = pixels.shape
+    apart = max(_GRID_PX, round(math.sqrt(pixels.size / _GRID_POINTS)))
+    grid = np.s_[::apart, ::apart]
+    c = belt_fit(_belt_terms(rows, columns, apart), logarithm(pixels[grid]), product[grid])
+    v, u = np.arange(0, rows, every) / rows - 0.5, np.arange(0, columns, every) / columns - 0.5
+    along = np.stack([c[0] + v * (c[2] + c[5] * v), c[1] + c[4] * v, np.full(v.size, c[3])], axis=1)
+    return along.astype(np.float32) @ np.stack([np.ones(u.size), u, u * u]).astype(np.float32)
 
 
 @lru_cache(maxsize=4)
@@ -416,13 +425,10 @@ def belt_fit(terms: Floats, bright: NDArray[np.float32], product: Flags) -> Floa
     return found
 
 
-def _contrast(plane: NDArray[np.float32], product: Flags) -> float:
+def _contrast(light: NDArray[np.float32], product: Flags) -> float:
     if not product.any() or product.all():
-        return float(plane.std())
-    few, where = plane[::_SAMPLED, ::_SAMPLED], product[::_SAMPLED, ::_SAMPLED]
-    inside, outside = few[where], few[~where]
-    if not inside.size or not outside.size:
-        return float(plane.std())
+        return float(light.std())
+    inside, outside = light[product], light[~product]
     return abs(float(np.median(inside) - np.median(outside))) / (float(outside.std()) + 1e-6)
 
 

@@ -26,8 +26,9 @@ from numpy.typing import NDArray
 
 from roemetry.records import Frame, Reason
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry_kernels.compiling import float_kernel
+from roemetry_kernels.compiling import float_kernel, inlined, kernel
 from roemetry_kernels.image_levels import median_of, plain_layout
+from roemetry_kernels.robust_fit import solve
 
 _LEVELS = 3
 """Halvings of the images: on the last, motions of some ten pixels are found; on the first, tenths of one."""
@@ -38,6 +39,12 @@ _ALIKE = _FINE**2 / _APART
 """Of the places that are looked at, as many tell as much as one."""
 _ROUNDS = 20
 """At most: from growth by 3 % five rounds came half the way, and what they gave was believed."""
+_SLOPES_ROUNDS = 8
+"""In which slopes are looked up where the images have come to lie."""
+_SETTLED_PX = 0.02
+"""A step that moves nothing in the image by as much is the last."""
+_SINGULAR = 1e-14
+"""Of the normal equations' largest element: a smaller pivot is rounding, of texture in one direction only."""
 _GROWTHS = (-0.04, 0.04)
 """Where nothing is found, images that have grown by so much are tried."""
 _SHIFT_MAX = 20
@@ -389,39 +396,42 @@ def _sampled(images: Singles, dim: _Seen, motion: Floats, every: float) -> Singl
     """Give (image, place) what each of some images has at the places, once they have moved."""
     if not motion.any():
         return images.reshape(len(images), -1)[:, dim.place]
-    rows, columns = dim.size
-    matrix = _matrix(motion / np.array([every, every, 1.0, 1.0]), rows, columns).astype(np.float32)
-    # in the order in which OpenCV's warp rounds: what is the same along a row first
-    of_row = matrix[:, 1:2] * np.arange(rows, dtype=np.float32) + matrix[:, 2:]
-    return np.asarray(sampled_at(images, dim.place, matrix[:, 0], of_row))
+    found = np.empty((len(images), dim.place.size), np.float32)
+    sampled_at(images, dim.place, motion, every, found)
+    return found
 
 
 @float_kernel
-def sampled_at(images: Singles, place: Integers, of_column: Singles, of_row: Singles) -> Singles:
-    """Give (image, place) of images (image, row, column), linear between pixels and repeated at the border.
+def sampled_at(images: Singles, place: Integers, motion: Floats, every: float, found: Singles) -> None:
+    """Write (image, place) of the first images (image, row, column) to `found`, linear between pixels.
 
-    `place` counts flattened pixels, in their order. It is looked at the column times `of_column` (2,) plus
-    what `of_row` (2, row) has for its row: x and y, px.
+    They are repeated at the border. `place` counts flattened pixels, in their order; `every` is how wide a
+    pixel is, px of the `motion`.
     """
     rows, columns = images.shape[1:]
-    found = np.empty((images.shape[0], place.size), np.float32)
+    level = motion.copy()
+    level[:2] /= every
+    matrix = _matrix(level, rows, columns).astype(np.float32)
     row, first = 0, 0
+    # in the order in which OpenCV's warp rounds: what is the same along a row first
+    of_x, of_y = matrix[0, 2], matrix[1, 2]
     for k in range(place.size):
         while place[k] >= first + columns:
             row, first = row + 1, first + columns
+            of_x = matrix[0, 1] * np.float32(row) + matrix[0, 2]
+            of_y = matrix[1, 1] * np.float32(row) + matrix[1, 2]
         column = np.float32(place[k] - first)
-        x, y = of_column[0] * column + of_row[0, row], of_column[1] * column + of_row[1, row]
+        x, y = matrix[0, 0] * column + of_x, matrix[1, 0] * column + of_y
         left, top = np.floor(x), np.floor(y)
         share, low = x - left, y - top
         # unsigned, which no index from the end can be
         j, i = np.uint64(min(max(left, 0), columns - 1)), np.uint64(min(max(top, 0), rows - 1))
         right = np.uint64(min(max(left + 1, 0), columns - 1))
         under = np.uint64(min(max(top + 1, 0), rows - 1))
-        for n in range(np.uint64(images.shape[0])):
+        for n in range(np.uint64(found.shape[0])):
             above = images[n, i, j] + share * (images[n, i, right] - images[n, i, j])
             below = images[n, under, j] + share * (images[n, under, right] - images[n, under, j])
             found[n, k] = above + low * (below - above)
-    return found
 
 
 def _fitted(level: _Level, motion: Floats, every: float, rounds: int = _ROUNDS) -> ImageMotion | None:
@@ -429,53 +439,96 @@ def _fitted(level: _Level, motion: Floats, every: float, rounds: int = _ROUNDS) 
     dim = level.dim
     if dim.place.size < _ALIKE * _CLEAR**2:
         return None
-    reach = np.array([1.0, 1.0, *[every * dim.size[1] / 2.0] * 2])
-    for turn in range(rounds):
-        if turn < 8:  # later steps change the slopes by little
-            a, *slopes = _sampled(level.bright, dim, motion, every)
-            one = _of(a, dim)
-            slope_gain = one.gain / 8.0
-        else:
-            one = _compared(level, motion, every)
-        if one.gain <= 0.0:
-            return None
-        normal, right, std = step_sums(one, *slopes, slope_gain, dim.x, dim.y, every)
-        least, *_, most = np.linalg.eigvalsh(normal)
-        if not least > 1e-14 * most:
-            return None
-        step = np.linalg.solve(normal, right)
-        motion = motion + step
-        if np.abs(step * reach).max() < 0.02:
-            break
-    found = _parts(level, motion, every)
-    covariance = np.asarray(_ALIKE * std**2 * np.linalg.inv(normal), np.float64)
-    return None if found is None else found._replace(covariance=covariance)
+    alike, motion, normal, std = followed(
+        level.bright, dim.value, dim.place, dim.x, dim.y, motion, every, rounds
+    )
+    found = _parts(level, motion, every) if alike else None
+    if found is None:
+        return None
+    return found._replace(covariance=np.asarray(_ALIKE * std**2 * np.linalg.inv(normal), np.float64))
 
 
 @float_kernel
-def step_sums(
-    one: _Compared, along: Singles, down: Singles, slope_gain: float, x: Singles, y: Singles, every: float
+def followed(
+    bright: Singles, value: Singles, place: Integers, x: Singles, y: Singles, start: Floats, every: float,
+    rounds: int,
+) -> tuple[bool, Floats, Floats, float]:  # fmt: skip
+    """Follow the motion on one level, from a first guess, to where the textures differ least.
+
+    Parameters
+    ----------
+    bright
+        See `_Level`.
+    value, place, x, y
+        See `_Seen`.
+    start
+        (4,) first guess, as `ImageMotion.motion`.
+    every
+        How wide a pixel of the level is, px.
+    rounds
+        Steps at most.
+
+    Returns
+    -------
+    tuple
+        Whether there is any likeness to follow; if so, (4,) the motion, and of the last step (4, 4) the
+        normal equations and the scatter of what is left.
+    """
+    columns = bright.shape[2]
+    motion, normal, std = start.copy(), np.zeros((4, 4)), 0.0
+    reach = np.array([1.0, 1.0, every * columns / 2.0, every * columns / 2.0])
+    found = np.empty((3, place.size), np.float32)
+    slope_gain = 0.0
+    for turn in range(rounds):
+        # later steps change the slopes by little
+        sampled_at(bright, place, motion, every, found if turn < _SLOPES_ROUNDS else found[:1])
+        squares, products = 0.0, 0.0
+        for k in range(place.size):
+            squares += found[0, k] * found[0, k]
+            products += found[0, k] * value[k]
+        gain = products / max(squares, 1e-12)
+        if gain <= 0.0:
+            return False, motion, normal, std
+        if turn < _SLOPES_ROUNDS:
+            slope_gain = gain / 8.0
+        normal, step, std = _step_sums(found, value, gain, slope_gain, x, y, every)
+        factor, most = normal.copy(), max(normal[0, 0], normal[1, 1], normal[2, 2], normal[3, 3])
+        solve(factor, step)
+        for n in range(4):
+            if not factor[n, n] * factor[n, n] > _SINGULAR * most:
+                return False, motion, normal, std
+        motion += step
+        if np.abs(step * reach).max() < _SETTLED_PX:
+            break
+    return True, motion, normal, std
+
+
+@inlined
+def _step_sums(
+    found: Singles, value: Singles, gain: float, slope_gain: float, x: Singles, y: Singles, every: float
 ) -> tuple[Floats, Floats, float]:
     """Give (4, 4) and (4,) normal equations of a step of the motion, and the scatter of what is left.
 
     Parameters
     ----------
-    one
-        Both textures at the places seen.
-    along, down, slope_gain
-        Slopes of the bright texture along x and y, and what they are multiplied with.
-    x, y, every
-        See `_Seen`, and how wide a pixel of the level is, px.
+    found, gain
+        (3, place) the bright texture at the places seen, its slopes along x and y; and what the first is
+        multiplied with to be `value`.
+    value, x, y, every
+        See `followed`.
+    slope_gain
+        What slopes are multiplied with.
     """
-    gain, squares = one.gain, 0.0
+    texture, along, down = found[0], found[1], found[2]
+    squares = 0.0
     for k in range(x.size):
-        left = one.b[k] - gain * one.a[k]
+        left = value[k] - gain * texture[k]
         squares += left * left
     std = math.sqrt(squares / x.size)
     # each sum a number of its own: so several places are taken at once
     xx = xy = yy = xt = yt = tt = xg = yg = tg = gg = of_x = of_y = of_turn = of_growth = 0.0
     for k in range(x.size):
-        left = one.b[k] - gain * one.a[k]
+        left = value[k] - gain * texture[k]
         weight = min(1.0, _ODD * std / max(abs(left), 1e-9))
         right_way, down_way = slope_gain * along[k], slope_gain * down[k]
         turn, growth = down_way * x[k] - right_way * y[k], right_way * x[k] + down_way * y[k]
@@ -540,8 +593,9 @@ def _parts(level: _Level, motion: Floats, every: float) -> ImageMotion | None:
     return ImageMotion(full, np.diag(np.full(4, np.inf)), motion, missed, int(alike.sum()), float(whole))
 
 
+@kernel
 def _matrix(motion: Floats, rows: int, columns: int) -> Floats:
-    right, down, turn, growth = motion.tolist()
+    right, down, turn, growth = motion[0], motion[1], motion[2], motion[3]
     x, y = 0.5 * (columns - 1), 0.5 * (rows - 1)
     along, across = (1.0 + growth) * math.cos(turn), (1.0 + growth) * math.sin(turn)
     return np.array(

@@ -30,7 +30,7 @@ from roemetry.records import Peaks, Reason, StripeMap
 from roemetry.records.arrays import Integers
 from roemetry.records.calibration import Calibration
 from roemetry.stages import Coder
-from roemetry_coding.planes.decide import decided, margin_of, verdicts_of
+from roemetry_coding.planes.decide import decided, margin_of, stripes_of, verdicts_of
 from roemetry_coding.planes.lines import epipolar_lines
 from roemetry_coding.planes.solve import build_problem, cheapest_labels, reaching
 from roemetry_kernels.bridging import BridgingOptions, bridged
@@ -88,12 +88,13 @@ class Planes(Coder[PlanesOptions]):
         rest = calibrated_rest_lines(peaks, calibration)
         problem = build_problem(peaks, calibration, rest, _REACH[0])
         refuse_bare_lines(bool(problem.candidates.many.any()), rest.x_px.shape[0])
-        verdicts = verdicts_of(problem, cheapest_labels(problem), peaks.row)
+        solved = cheapest_labels(problem)
         for bound, reach in pairwise(_REACH):
-            if not _bounded(peaks, verdicts.stripe, calibration, rest, bound):
+            if not _bounded(peaks, stripes_of(problem, solved), calibration, rest, bound):
                 break
             problem = reaching(problem, calibration, rest, reach)
-            verdicts = verdicts_of(problem, cheapest_labels(problem), peaks.row)
+            solved = cheapest_labels(problem)
+        verdicts = verdicts_of(problem, solved, peaks.row)
         given = np.bincount(verdicts.stripe[verdicts.stripe >= 0], minlength=problem.there.size)
         live = np.flatnonzero((problem.there > 0.0) & (given >= _LIVE_PEAKS_MIN))
         refuse_bare_lines(live.size > 0 and _belt_fits(peaks, rest), rest.x_px.shape[0])

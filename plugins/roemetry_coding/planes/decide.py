@@ -101,12 +101,23 @@ class Verdicts(NamedTuple):
     """(peak,) False where a veto speaks against it, whatever the figures."""
 
 
+def stripes_of(problem: Problem, solved: Solved) -> Integers:
+    """Give (peak,) the stripes that `verdicts_of` judges, −1 for none."""
+    return _labels_of(problem, solved)[0]
+
+
+def _labels_of(problem: Problem, solved: Solved) -> tuple[Integers, Floats, Floats, Floats]:
+    labels: tuple[Integers, Floats, Floats, Floats] = _peak_labels(
+        problem.entries, problem.candidates, problem.pieces, problem.lines.line, solved.cost, solved.best,
+        solved.evidence,
+    )  # fmt: skip
+    return labels
+
+
 def verdicts_of(problem: Problem, solved: Solved, row: Integers) -> Verdicts:
     """Judge the labels of (peak,) peaks in sorted rows."""
     pieces, candidates, entries = problem.pieces, problem.candidates, problem.entries
-    stripe, height_mm, dearer, evidence = _peak_labels(
-        entries, candidates, pieces, problem.lines.line, solved.cost, solved.best, solved.evidence
-    )
+    stripe, height_mm, dearer, evidence = _labels_of(problem, solved)
     settled = ends_settled(pieces, stripe)
     dearer *= settled
     dearer[np.bincount(pieces.of)[pieces.of] < _FEW_PEAKS] *= _FEW_COUNT
