@@ -11,7 +11,7 @@ since each is blind where the other sees:
 S_c is the correlation within the class, mixed with that of all classes as its samples count against
 `POOLED_SAMPLES` (regularised discriminant analysis, Friedman 1989), and drawn towards none by `SHRINKAGE`
 (Ledoit and Wolf 2004). Each measure is divided by what held-out samples reach at most, so 1 is the limit for
-both.
+both, and the two are added in squares: a product that comes near both limits is like none of the samples.
 
 Assumed: the samples are what is to be expected: rigs, light and populations that differ from them by more
 than they differ among each other are novel, and are said to be so. It fails for a product whose every
@@ -102,15 +102,16 @@ class SeenClasses(NamedTuple):
     def novelty(
         self, values: Floats, names: Sequence[str], distance_max: float, excess_max: float
     ) -> Novelty:
-        """Judge one sample's (feature,) values against the limits of both measures."""
+        """Judge one sample's (feature,) values against the limits of both measures, in quadrature."""
         distance = float(self.distances(values[None])[0]) / distance_max
         excess = self.excess(values[None])[0]
         outside = float(excess_norm(excess[None])[0]) / excess_max
+        value = math.hypot(distance, outside)
         if outside <= distance:
-            return Novelty(distance)
+            return Novelty(value)
         most = int(excess.argmax())
         ends = np.sinh([self.low[most], self.high[most]])
-        return Novelty(outside, names[most], float(values[most]), float(ends[0]), float(ends[1]))
+        return Novelty(value, names[most], float(values[most]), float(ends[0]), float(ends[1]))
 
     def distances(self, values: Floats) -> Floats:
         """(sample,) distances from the nearest class, in its standard deviations, of (sample, feature)."""

@@ -167,9 +167,8 @@ def decided(
     pieces, stripes = problem.pieces, problem.there.size
     verdicts = _renumbered(verdicts, peaks, rest, calibration.displacement_px_per_mm)
     stripe = verdicts.stripe.copy()
-    denies = denies_belt(
-        problem.entries, pieces.line, verdicts.stripe, body_of(peaks.row, verdicts.stripe, rest)
-    )
+    bodies = body_of(peaks.row, verdicts.stripe, rest)
+    denies = denies_belt(problem.entries, pieces.line, verdicts.stripe, bodies, peaks.amplitude)
     margin = margin_of(verdicts.dearer, verdicts.evidence)
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     above = verdicts.height_mm > calibration.height_range_mm[1] + slack_mm[np.maximum(stripe, 0)]

@@ -24,7 +24,8 @@ def test_a_body_may_not_leave_out_belt_of_its_own_stripes(denied: int, doubted: 
         np.zeros(order.size),
     )  # fmt: skip
     body = np.where(order == 2, 0, 1)
-    np.testing.assert_array_equal(denies_belt(entries, line, stripe, body), doubted & (body == 1))
+    found = denies_belt(entries, line, stripe, body, np.ones(body.size))
+    np.testing.assert_array_equal(found, doubted & (body == 1))
 
 
 def test_belt_of_another_bodys_stripe_is_no_doubt() -> None:
@@ -35,7 +36,7 @@ def test_belt_of_another_bodys_stripe_is_no_doubt() -> None:
         np.arange(0, stripe.size + 1, 3), np.arange(stripe.size), np.arange(float(stripe.size)), none, none,
         np.zeros(stripe.size),
     )  # fmt: skip
-    np.testing.assert_array_equal(denies_belt(entries, line, stripe, body), body == 2)
+    np.testing.assert_array_equal(denies_belt(entries, line, stripe, body, np.ones(body.size)), body == 2)
 
 
 def test_light_over_a_bodys_edge_is_no_doubt() -> None:
@@ -58,4 +59,20 @@ def test_light_over_a_bodys_edge_is_no_doubt() -> None:
     entries = Entries(
         np.array(start), np.arange(said.size), np.arange(float(said.size)), none, none, np.zeros(said.size)
     )
-    assert not denies_belt(entries, on, said, np.where(said >= 0, 1, 0)).any()
+    assert not denies_belt(entries, on, said, np.where(said >= 0, 1, 0), np.ones(said.size)).any()
+
+
+@pytest.mark.parametrize(("share", "glows"), [(0.2, True), (0.5, False)])
+def test_light_that_came_through_the_body_is_refused_and_the_body_is_not(share: float, glows: bool) -> None:
+    """A stripe on 40 lines, the last 14 of them so faint; on ten of these its belt was seen and left out."""
+    lines = np.arange(40)
+    stripe, body = np.tile([1, -1], 40), np.tile([1, 0], 40)
+    line = np.where((body == 0) & np.repeat((lines >= 26) & (lines < 36), 2), 1, -1)
+    amplitude = np.where((body == 1) & np.repeat(lines >= 26, 2), share, 1.0)
+    none = np.full(body.size, -1)
+    entries = Entries(
+        np.arange(0, body.size + 1, 2), np.arange(body.size), np.arange(float(body.size)), none, none,
+        np.zeros(body.size),
+    )  # fmt: skip
+    refused = (amplitude < 1.0) if glows else (body == 1)
+    np.testing.assert_array_equal(denies_belt(entries, line, stripe, body, amplitude), refused)

@@ -124,6 +124,13 @@ def test_what_is_learned_is_right_and_says_how_sure_it_is(learned_of_three: Fitt
     novel = np.array([30.0, -30.0])
     assert model.novelty(novel).value > 1.0
     assert np.mean([model.novelty(row).value > 1.0 for row in fresh.values]) < 0.02
+    # along the axis on which good and dents lie, farther and farther out: both measures grow, each within 1
+    out = np.array([[1.0, 0.0]]) * np.linspace(4.0, 40.0, 400)[:, None]
+    distance = model.seen.distances(out) / model.distance_max
+    outside = excess_norm(model.seen.excess(out)) / model.excess_max
+    near_both = out[(distance < 1.0) & (outside < 1.0) & (np.hypot(distance, outside) > 1.0)]
+    assert near_both.size
+    assert all(model.novelty(row).value > 1.0 for row in near_both)
     # a straight line in the features would promise what nobody has looked at
     far, farther = (model.probabilities(np.array([value, 0.0])) for value in (1e3, 1e6))
     np.testing.assert_array_equal(far, farther)

@@ -393,6 +393,34 @@ def test_a_speck_behind_unseen_rows_outside_the_outline_is_no_surface() -> None:
     assert len(points_of(spoilt, spoilt.view, wide).xyz_mm) > len(held), "an outline that may lie farther out"
 
 
+@pytest.mark.parametrize("made", [box, dome])
+def test_the_flank_of_a_line_beside_the_body_is_no_slice(made) -> None:
+    """Light of a line whose centre passes 0.2 mm beside an end of the body: 3 mm too low there."""
+    clean, true_mm3 = made(x0=-3.0)
+    grazing = grazed(clean, end_mm=-3.0 + (30.0 if made is box else 40.0))
+    held = points_of(grazing, grazing.view, grazing.outline)
+    np.testing.assert_array_equal(held.xyz_mm, points_of(clean).xyz_mm)
+    assert held.first[-1] == held.slice.size and held.slice[-1] == held.first.size - 2
+    assert off((grazing, true_mm3)) == pytest.approx(off((clean, true_mm3)), abs=1e-4)
+
+
+def grazed(made: Product, end_mm: float) -> Product:
+    """Put 12 mm of the next stripe's points on a body's end, 3 mm below its highest."""
+    profiles = made.profiles
+    number = int(np.flatnonzero((profiles.product == 1).any(axis=1))[-1]) + 1
+    height_mm = float(np.nanmax(profiles.xyz_mm[..., 2])) - 3.0
+    rows = np.arange(ROWS // 2 - 30, ROWS // 2 + 30)
+    y_mm = (rows - (ROWS - 1) / 2) * -0.2
+    xyz, product, seen = profiles.xyz_mm.copy(), profiles.product.copy(), profiles.seen.copy()
+    row_px, x_px = profiles.row_px.copy(), profiles.x_px.copy()
+    product[number, rows], seen[number, rows] = 1, True
+    row_px[number, rows], x_px[number, rows] = rows, 0.0
+    xyz[number, rows] = np.column_stack([np.full(rows.size, end_mm), y_mm, np.full(rows.size, height_mm)])
+    return replace(
+        made, profiles=replace(profiles, xyz_mm=xyz, product=product, seen=seen, row_px=row_px, x_px=x_px)
+    )
+
+
 def with_belt_peaks(made: Product, count: int, z_mm: float = 1.5) -> Product:
     """Add seen points at a height behind three unseen ones, at the last row's end of the last slice."""
     profiles = made.profiles
