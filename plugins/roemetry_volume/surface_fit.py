@@ -49,9 +49,10 @@ _FOLLOWED_MM = 0.003
 its part came out up to 12 % too small on thin skeins)."""
 _WALL_REACH_MM = 0.4  # two rows: a wall that shows by less is not told from its edge
 _FEW, _BELT_SHARE = 3, 0.5
-_HALF_LINE_MM, _SLICES_LEAST = 0.5, 3
-"""Of a line of light about 1 mm wide: a slice of which no point lies so far within the outline is the flank
-of one whose centre passes beside the body. On a box its heights were 3 mm below the top and 1 mm above it."""
+_HALF_LINE_MM, _HALF_LINE_SHARE, _SLICES_LEAST = 0.5, 0.1, 3
+"""Of a line of light about 1 mm wide, or a fifth of the distance to the next one if that is less: a slice of
+which no point lies so far within the outline is the flank of one whose centre passes beside the body. On a
+box its heights were 3 mm below the top and 1 mm above it."""
 _ASTRAY_PX, _ASTRAY_SIGMAS = 1.5, 3.0
 """A slice's end appears in the row it is seen in, to half a row, and lens and light move an edge by less than
 another pixel."""
@@ -127,12 +128,16 @@ def points_of(product: Product, view: View | None = None, outline: Outline | Non
 def _off_edges(points: StripePoints, view: View, outline: Outline) -> StripePoints:
     """Leave out the outer slices whose lines of light pass beside the body; at least three stay."""
     ring, kept = outline.xy_px.copy(), [0, points.first.size - 1]
-    half_mm = np.array([_HALF_LINE_MM, 0.0, 0.0])
     for end, step in ((0, 1), (1, -1)):
         while kept[1] - kept[0] > _SLICES_LEAST:
             outer = kept[0] if end == 0 else kept[1] - 1
-            xyz_mm = points.xyz_mm[points.first[outer] : points.first[outer + 1]]
-            xy_px, beside_px = view.project(xyz_mm), view.project(xyz_mm + half_mm)
+            xyz_mm, next_mm = (
+                points.xyz_mm[points.first[one] : points.first[one + 1]] for one in (outer, outer + step)
+            )
+            apart_mm = abs(float(next_mm[:, 0].mean() - xyz_mm[:, 0].mean()))
+            half_mm = min(_HALF_LINE_MM, _HALF_LINE_SHARE * apart_mm)
+            xy_px = view.project(xyz_mm)
+            beside_px = view.project(xyz_mm + np.array([half_mm, 0.0, 0.0]))
             if (inside_by(ring, xy_px) > np.hypot(*(beside_px - xy_px).T)).any():
                 break
             kept[end] += step
