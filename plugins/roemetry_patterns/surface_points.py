@@ -67,11 +67,14 @@ def points_of(profiles: Profiles, number: int, lines_min: int) -> tuple[Floats, 
     StageError
         Too few points, or lines, lie on the product.
     """
-    on = (profiles.product == number) & np.isfinite(profiles.xyz_mm).all(axis=2) & profiles.seen
-    xyz, std = profiles.xyz_mm[on], profiles.height_std_mm[on]
+    place = np.argwhere((profiles.product == number) & profiles.seen)
+    xyz = profiles.xyz_mm[place[:, 0], place[:, 1]]
+    known = np.isfinite(xyz).all(axis=1)
+    place, xyz = place[known], xyz[known]
+    std = profiles.height_std_mm[place[:, 0], place[:, 1]]
     if len(xyz) < _POINTS_MIN:
         raise StageError(f"{len(xyz)} points lie on the product, {_POINTS_MIN} are the least")
-    lines = int(on.any(axis=1).sum())
+    lines = np.count_nonzero(np.diff(place[:, 0], prepend=-1))
     if lines < lines_min:
         low, high = xyz.min(axis=0), xyz.max(axis=0)
         raise StageError(
@@ -80,7 +83,7 @@ def points_of(profiles: Profiles, number: int, lines_min: int) -> tuple[Floats, 
             f"Z = {high[2]:.1f} mm",
             hint="project more lines, or dots; a cross hair shows only a position",
         )
-    every_xy, place = xyz[:, :2], np.argwhere(on)
+    every_xy = xyz[:, :2]
     std = np.nan_to_num(std, nan=_FLAT_STD_MM)
     sure = std <= _UNSURE * max(float(np.median(std)), _FLAT_STD_MM)
     xyz, std = pooled(xyz[sure], std[sure], place[sure])

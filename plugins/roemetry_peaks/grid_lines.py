@@ -90,11 +90,16 @@ class GridLines(Extractor[GridLinesOptions]):
         given = self.options
         options = GaussianOptions(threshold=given.threshold, width_max_px=given.width_max_px)
         frames = (frame, turned(frame))
-        others: list[Floats] = []  # what lies on each frame of the other family's light
-        for each, turns in zip(frames, _TURNS, strict=True):
-            peaks = gaussian_peaks(each, options, checked=False)
-            along, down = _gradients(each.pixels, peaks)
-            others.insert(0, _light_of(peaks, along > _DIRECTED * down, turns))
+        upright, across = (gaussian_peaks(each, options, checked=False) for each in frames)
+        # along its rows the turned frame changes as the frame itself does down its rows
+        changes = _changes(frame.pixels)
+        along, down = _squares_around(*changes, *_pixels_of(upright))
+        column, row = _pixels_of(across)
+        other_down, other_along = _squares_around(*changes, row, frame.size[1] - 1 - column)
+        others = [  # what lies on each frame of the other family's light
+            _light_of(across, other_along > _DIRECTED * other_down, _TURNS[1]),
+            _light_of(upright, along > _DIRECTED * down, _TURNS[0]),
+        ]
         # where a line ends behind a crossing, too near for its direction to show, the second round knows it
         for _ in range(_TIMES - 1):
             found = [
@@ -143,14 +148,17 @@ def _numbers(peaks: Peaks, which: Flags) -> Floats:
     return np.column_stack([peaks.x_px, peaks.amplitude, peaks.width_px / FWHM_OF_SIGMA])[which]
 
 
-def _gradients(pixels: Any, peaks: Peaks) -> tuple[Floats, Floats]:
-    """Give (peak,) the squared change of the image along its rows and down its rows, averaged around each."""
+def _pixels_of(peaks: Peaks) -> tuple[Integers, Integers]:
+    """Give row and column of the pixel of each peak."""
+    return peaks.row, np.rint(peaks.x_px).astype(np.int64)
+
+
+def _changes(pixels: Any) -> list[Any]:
+    """Give how an image changes along its rows and down its rows, (row, column) each."""
     import cv2
 
     image = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), _FINE_PX)
-    changes = [cv2.Sobel(image, cv2.CV_32F, *way, ksize=3) for way in ((1, 0), (0, 1))]
-    along, down = _squares_around(*changes, peaks.row, np.rint(peaks.x_px).astype(np.int64))
-    return along, down
+    return [cv2.Sobel(image, cv2.CV_32F, *way, ksize=3) for way in ((1, 0), (0, 1))]
 
 
 @float_kernel
@@ -305,10 +313,10 @@ def _without(
     left = np.empty_like(pixels)
     some_white = _take_away(pixels, light, left, frame.highest)
     peaks = gaussian_peaks(replace(frame, pixels=left), options, checked=checked)
-    at = peaks.row, np.rint(peaks.x_px).astype(np.int64)
+    at = _pixels_of(peaks)
     beside = light[at]
     # what the other family has left shows where one of its lines ends, or was not followed
-    along, down = _gradients(left, peaks)
+    along, down = _squares_around(*_changes(left), *at)
     clean = along > _OWN_DIRECTED * down
     # where both together are white, nobody knows how much of it is the other line's
     own = clean & (peaks.amplitude > _OWN_MIN * beside)

@@ -592,7 +592,10 @@ def _noise_of_height(product: Product, drawn: Sampler) -> float:
     highest: list[float] = []
     while len(highest) < _HEIGHT_PATTERNS:  # many small patterns at once, of a scan's slices one by one
         many = min(_HEIGHT_PATTERNS - len(highest), max(1, _HEIGHTS_AT_ONCE // heights.size))
-        noise = drawn.unit_noise((many * slices, rows)).reshape(many, slices, rows)
+        noise = drawn.next_noise(
+            (many * slices, rows), len(highest) * heights.size, _HEIGHT_PATTERNS * heights.size
+        )
+        noise = noise.reshape(many, slices, rows)
         # NaN is no height: fmax passes over it
         highest += np.fmax.reduce(heights + noise * std_mm, axis=(1, 2)).tolist()
     return math.hypot(np.std(highest, ddof=1), lift_share(float(np.mean(highest)) - product.height_max_mm))

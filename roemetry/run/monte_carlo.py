@@ -409,6 +409,7 @@ class Sampler:
         known[PENETRATION] = scene.penetration is not None
         self.causes = tuple(cause for cause, stated in known.items() if stated)
         self._bridges = [_bridges(one) for one in families]
+        self._kept: _Kept | None = None
 
     def scenes(self, count: int, causes: tuple[str, ...]) -> Iterator[Mapping[int, Product]]:
         """Give drawn products by number, `count` times; what is no cause stays as it was found."""
@@ -478,9 +479,21 @@ class Sampler:
             for _ in range(count):
                 yield self.patterns()
             return
-        patterns, state = _first_patterns(shapes, reach, count)
+        self._kept = shapes, reach, count
+        patterns, state = _first_patterns(*self._kept)
         self._rng.bit_generator.state = state
         yield from patterns
+
+    def next_noise(self, shape: tuple[int, ...], first: int, total: int) -> Floats:
+        """Give `unit_noise` that follows `first_patterns`, of the numbers from `first` on of so many in all.
+
+        It is the same for all products of all scenes of one shape: if they are few, they are drawn once.
+        """
+        if self._kept is None or total > _KEPT_MAX:
+            return self.unit_noise(shape)
+        reach_rows = self._scene.stripes.correlation_rows
+        noise = _numbers_after(*self._kept)[first : first + math.prod(shape)].reshape(shape)
+        return _smoothed(noise, reach_rows) if reach_rows > 0 else noise
 
     def unit_noise(self, shape: tuple[int, ...]) -> Floats:
         """(stripe, row) errors of standard deviation 1, correlated along the stripe."""
@@ -488,7 +501,11 @@ class Sampler:
 
 
 _KEPT_MAX = 1_000_000
-"""Numbers of patterns that are kept for the next frame: 8 MB."""
+"""Numbers of patterns that are kept for the next frame, and as many that follow them: 8 MB each."""
+
+
+_Kept = tuple[tuple[tuple[int, ...], ...], float, int]
+"""Shapes, correlation rows and number of the patterns that are drawn first."""
 
 
 @lru_cache(maxsize=2)
@@ -499,6 +516,16 @@ def _first_patterns(
     rng = np.random.default_rng(0)
     patterns = [[_unit_noise(rng, shape, reach_rows) for shape in shapes] for _ in range(count)]
     return patterns, rng.bit_generator.state
+
+
+@lru_cache(maxsize=2)
+def _numbers_after(shapes: tuple[tuple[int, ...], ...], reach_rows: float, count: int) -> Floats:
+    """Give `_KEPT_MAX` normal numbers as the generator draws them after `Sampler.first_patterns`."""
+    rng = np.random.default_rng()
+    rng.bit_generator.state = _first_patterns(shapes, reach_rows, count)[1]
+    numbers = rng.standard_normal(_KEPT_MAX)
+    numbers.flags.writeable = False
+    return numbers
 
 
 def _unit_noise(rng: np.random.Generator, shape: tuple[int, ...], reach_rows: float) -> Floats:

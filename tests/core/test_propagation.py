@@ -429,3 +429,11 @@ def test_linearised_uncertainty_hangs_on_no_name_and_agrees_with_draws() -> None
     drawn = done(scene(), SumOfHeights(), Tenth())
     assert one.volume.visible_mm3.std == pytest.approx(drawn.volume.visible_mm3.std, rel=0.09)
     assert one.weight.mass_g.std == pytest.approx(drawn.weight.mass_g.std, rel=0.3)  # 50 draws of its model
+
+
+def test_numbers_that_are_kept_are_those_that_the_generator_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = done(scene(), draws=0).height_max_mm
+    again = done(scene(), draws=0).height_max_mm
+    monkeypatch.setattr("roemetry.run.monte_carlo._KEPT_MAX", 0)
+    assert kept == again == done(scene(), draws=0).height_max_mm
+    assert kept.budget["peak noise"] > 0.0

@@ -35,6 +35,7 @@ from roemetry_coding.planes.lines import epipolar_lines
 from roemetry_coding.planes.solve import build_problem, cheapest_labels, reaching
 from roemetry_kernels.bridging import BridgingOptions, bridged
 from roemetry_kernels.consistency import refuse_bare_lines, refuse_uncodable, required_calibration
+from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.rest_lines import RestLines, calibrated_rest_lines, missing_stripes, reasons_of
 
 __all__ = ["Planes", "PlanesOptions", "epipolar_lines", "margin_of"]
@@ -135,7 +136,7 @@ def _bounded(peaks: Peaks, stripe: Integers, calibration: Calibration, rest: Res
     body = np.flatnonzero((stripe >= 0) & (stripe != rest.line))
     per_mm = calibration.displacement_px_per_mm[stripe[body]]
     height_mm = (peaks.x_px[body] - rest.x_px[stripe[body], peaks.row[body]]) / per_mm
-    label_mm = np.median(np.diff(rest.x_px, axis=0)) / np.abs(per_mm)
+    label_mm = median_of(np.diff(rest.x_px, axis=0).ravel()) / np.abs(per_mm)
     at_bound = np.count_nonzero(height_mm + label_mm > bound * calibration.height_range_mm[1])
     return bool(at_bound > _AT_BOUND_SHARE_MAX * body.size)
 
