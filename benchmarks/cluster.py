@@ -1,4 +1,4 @@
-"""A cluster under blows, and a cluster of many workers.
+"""A cluster under blows, and what it costs.
 
 ``python -m benchmarks cluster kills [--verb run] [--rows 5000] [--kills 5] [--workers-killed 30]``
     Runs the shipped recipe over so many rows of a manifest, or compares two variants of it on as many items
@@ -9,9 +9,6 @@
     Measures so many rows with a pool of one and of two processes, then on a scheduler with one and with two
     workers: products a second once all are at work, and the processor time of scheduler and client. What two
     processes gain over one is all that this machine's second core has to give.
-``python -m benchmarks cluster scaling [--workers 1 4 16 64] [--task 0.1]``
-    Tasks that sleep, on so many workers in threads of this process: throughput over that of as many workers
-    that lose nothing.
 """
 
 from __future__ import annotations
@@ -48,19 +45,13 @@ _LONGEST_S = 12.0
 def main() -> None:
     """Do what is asked for."""
     parser = parser_of(__doc__)
-    parser.add_argument("what", choices=("kills", "throughput", "scaling"))
+    parser.add_argument("what", choices=("kills", "throughput"))
     parser.add_argument("--rows", type=int, default=5000)
     parser.add_argument("--recipe", type=Path, default=_RECIPE, help="what `throughput` measures with")
     parser.add_argument("--verb", choices=("run", "compare"), default="run")
     parser.add_argument("--kills", type=int, default=5)
     parser.add_argument("--workers-killed", type=int, default=30)
-    parser.add_argument("--workers", type=int, nargs="+", default=[1, 4, 16, 64])
-    parser.add_argument("--task", type=float, default=0.1, help="how long a task sleeps, s")
     asked = parser.parse_args()
-    if asked.what == "scaling":
-        for workers in asked.workers:
-            print(f"{workers:3} workers: {_efficiency(workers, asked.task):.3f} of linear", flush=True)
-        return
     with tempfile.TemporaryDirectory() as folder:
         if asked.what == "throughput":
             _throughput(asked.recipe.absolute(), Path(folder), asked.rows)
@@ -70,37 +61,6 @@ def main() -> None:
     told = ", ".join(f"{number} kills of the {victim}" for victim, number in sorted(done.items()))
     print(f"{told}: {'the same' if same else 'ANOTHER'} {work.grows.name}")
     sys.exit(not same)
-
-
-class Sleeps:
-    """Sleeps and gives back what it was given."""
-
-    def __init__(self, seconds: float) -> None:
-        self.seconds = seconds
-
-    def __call__(self, number: int) -> int:
-        """Sleep."""
-        time.sleep(self.seconds)
-        return number
-
-
-def _efficiency(workers: int, task_s: float) -> float:
-    """Give the throughput, once every worker is at work, over one task in `task_s` for each worker."""
-    from distributed import LocalCluster
-
-    count = int(workers * 60.0 / task_s)  # a minute of work for each
-    with LocalCluster(
-        n_workers=workers, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0"
-    ) as made:
-        moments = []
-        for number, found in enumerate(
-            Cluster(made.scheduler_address).in_order(Sleeps, (task_s,), range(count))
-        ):
-            if number != found:
-                raise AssertionError(f"{found} came in place of {number}")
-            moments.append(time.perf_counter())
-    first, last = count // 4, count - count // 10  # without the start, and the end when some are idle
-    return (last - first) / (moments[last] - moments[first]) * task_s / workers
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ from benchmarks.grading.virtual_rows import (
     virtual_rows,
 )
 from benchmarks.tables import table
-from benchmarks.traced import LEARNING_MIX, Row, rows_of
+from benchmarks.traced import Row, rows_of
 from roemetry_shape.learned import Learned, LearnedOptions
 from roemetry_shape.novelty import GOOD_SPREAD
 
@@ -101,7 +101,7 @@ def _tests(count: int, rendered: Path | None, cache: Path) -> dict[str, Sequence
     if rendered is not None:
         tests["rendered"] = rendered_rows(rendered, RENDERED_RIGS)
     for rig, first in TRACED_FROM.items():
-        tests[rig] = rows_of(range(first, first + count), rig, cache, mix=LEARNING_MIX)
+        tests[rig] = rows_of(range(first, first + count), rig, cache)
     return tests
 
 
@@ -110,7 +110,7 @@ def _results(found: Mapping[str, Mapping[str, Sequence[Judged]]]) -> str:
     rows = []
     for test, by_judge in found.items():
         for name, judged in by_judge.items():
-            asked = [one for one in judged if one.row.name == GOOD or one.row.defect["shown_mm"] >= SHOWN_MM]
+            asked = [one for one in judged if one.row.name == GOOD or one.row.shown_mm >= SHOWN_MM]
             good = [one.label == GOOD for one in asked if one.row.name == GOOD]
             caught = [one.caught for one in asked if one.row.name != GOOD]
             right = [one.label == one.row.name for one in asked]
@@ -179,7 +179,7 @@ def _measured(bodies: Sequence[Body], rig_seed: int) -> list[Row]:
     for number, body in enumerate(bodies):
         lies = rig._replace(phase=float(rng.uniform(-0.5, 0.5)))
         found = rows_of_body(body, "rig", number, rng, 1, lies)
-        rows += [row for row in found if body.label == GOOD or row.defect["shown_mm"] >= SHOWN_MM]
+        rows += [row for row in found if body.label == GOOD or row.shown_mm >= SHOWN_MM]
     return [row for row in rows if row.features]
 
 

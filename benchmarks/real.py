@@ -10,8 +10,8 @@ pixels of the laser's channel at 250 or more, alone in its row: its middle is wh
 *Repeated*: the wall's rows do not move from frame to frame, so a centre's scatter over the frames is the
 extractor's; what a frame moves as a whole is taken off. *Boards*: a red line on twelve printed boards in room
 light, less the laser-off image as in a calibration, and by contrast alone; known is the line of
-`benchmarks.real_images.boards`. *Weld*: the line of `benchmarks.real_images.weld`. `benchmarks extract_real`
-has more of the weld, and the wheel set.
+`benchmarks.real_images.boards`. *Weld*: the line of `benchmarks.real_images.weld`. *Wheel set*: some twenty
+stripes on a curved part, against marks made by hand (`benchmarks.real_images.wheelset`).
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from benchmarks.extraction.methods import there
 from benchmarks.real_images import folder_of, prepared
 from benchmarks.real_images.boards import POSES, line_on_board
 from benchmarks.real_images.weld import line_of
+from benchmarks.real_images.wheelset import wheelset
 from benchmarks.tables import Table, number, put_tables
 from roemetry.errors import RoemetryError
 from roemetry.records import Frame, Peaks
@@ -86,6 +87,12 @@ def main() -> None:
     head = ["set", "extractor", "rows with a line", "followed, %", f"of these > {_FAR_PX:.0f} px off, %"]
     tables.append(Table("one line, by the coder single", head, follows))
     print(tables[-1], flush=True)
+    home = folder_of("multi_stripe")
+    if home is None:
+        print("skipped: wheel set: not there; set ROEMETRY_REAL_DATA", file=sys.stderr)
+    else:
+        tables.append(wheelset(home, stages))
+        print(tables[-1], flush=True)
     if given.page and follows:
         put_tables(tables, "real")
 

@@ -14,7 +14,6 @@ from roemetry.records import Fitted, Grade, Samples
 from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions
 from roemetry_shape.learned import Learned, LearnedOptions
 from roemetry_shape.shape_limits import ShapeLimits, ShapeLimitsOptions
-from roemetry_tools.compare.agreement import Interval, wilson
 
 SHOWN_MM = 1.0
 """A defect that a lit stripe shows by this much ought to be caught."""
@@ -23,7 +22,6 @@ TAUGHT_MM = 0.5
 """A defect that stripes show by less is not learned from: its features are those of a good product."""
 
 GOOD, UNKNOWN = "good", "unknown"
-HEALTHY = "none"
 Judge = Callable[[Row], Grade]
 
 NOT_LEARNED = ("humps", "hump_height_mm", "hump_area_mm2")
@@ -58,7 +56,7 @@ def samples_of(rows: Sequence[Row]) -> Samples:
 
 def fitted_model(rows: Sequence[Row]) -> Fitted:
     """Fit the learned classifier; a defect of which no stripe shows half a millimetre teaches nothing."""
-    shown = [row for row in rows if row.name == GOOD or row.defect["shown_mm"] >= TAUGHT_MM]
+    shown = [row for row in rows if row.name == GOOD or row.shown_mm >= TAUGHT_MM]
     return Learned.fit(samples_of(shown), good=GOOD, smoothing_mm=SMOOTHING_MM)
 
 
@@ -69,7 +67,7 @@ def fitted_limits(rows: Sequence[Row]) -> ShapeLimitsOptions:
     catches, too, counts against it, until no limit is worth it; then what is left is caught in any way.
     """
     good = [row.features for row in rows if row.features and row.name == GOOD]
-    left = [row for row in rows if row.features and row.defect["shown_mm"] >= SHOWN_MM]
+    left = [row for row in rows if row.features and row.shown_mm >= SHOWN_MM]
     every = good + [row.features for row in left]
     found: list[Mapping[str, object]] = []
     strict = True
@@ -154,38 +152,6 @@ class Judged(NamedTuple):
         return self.label not in (GOOD, UNKNOWN)
 
 
-class Score(NamedTuple):
-    """Good against deformed, for defects of which a lit stripe shows a millimetre, and for all."""
-
-    good: int
-    kept: int
-    """good, kept: good skeins, and those that were called good."""
-    shown: int
-    caught: int
-    named: int
-    """shown, caught, named: skeins whose defect is shown; those that were called deformed; those whose defect
-    was named right."""
-    deformed: int
-    caught_of_all: int
-    """deformed, caught_of_all: all with a defect, shown or not; those that were called deformed."""
-    unknown: int
-    """Of all, called neither."""
-
-    @property
-    def balanced(self) -> float:
-        """Mean of the shares kept and caught."""
-        return 0.5 * (self.kept / max(self.good, 1) + self.caught / max(self.shown, 1))
-
-    @property
-    def balanced_interval(self) -> Interval:
-        """95 % interval of that: the two shares' intervals by Wilson, their half widths put together."""
-        parts = [(self.kept, self.good), (self.caught, self.shown)]
-        ends = [(k / max(n, 1), wilson(k, n)) for k, n in parts]
-        low = 0.5 * float(np.hypot(*(share - interval.low for share, interval in ends)))
-        high = 0.5 * float(np.hypot(*(interval.high - share for share, interval in ends)))
-        return Interval(self.balanced - low, min(self.balanced + high, 1.0))
-
-
 def judged_by(judge: Judge, rows: Sequence[Row]) -> list[Judged]:
     """Judge all skeins that were measured."""
     found = []
@@ -194,23 +160,3 @@ def judged_by(judge: Judge, rows: Sequence[Row]) -> list[Judged]:
             grade = judge(row)
             found.append(Judged(row, grade.label, grade.probability))
     return found
-
-
-def score_of(judged: Sequence[Judged]) -> Score:
-    """Count."""
-    good = [one for one in judged if one.row.name == GOOD]
-    deformed = [one for one in judged if one.row.name != GOOD]
-    shown = [one for one in deformed if one.row.defect["shown_mm"] >= SHOWN_MM]
-    return Score(
-        good=len(good), kept=sum(one.label == GOOD for one in good), shown=len(shown),
-        caught=sum(one.caught for one in shown), named=sum(one.label == one.row.name for one in shown),
-        deformed=len(deformed), caught_of_all=sum(one.caught for one in deformed),
-        unknown=sum(one.label == UNKNOWN for one in judged),
-    )  # fmt: skip
-
-
-def confusion_of(judged: Sequence[Judged], *, by_kind: bool = False) -> Counter[tuple[str, str]]:
-    """Count (what it is, what it was called); by kind, one dent and several are told apart."""
-    return Counter(
-        (one.row.kind if by_kind and one.row.kind != HEALTHY else one.row.name, one.label) for one in judged
-    )

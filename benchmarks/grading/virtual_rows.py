@@ -58,8 +58,7 @@ def rows_of_body(
         off = sound.at(xyz[:, 0], xyz[:, 1]) - surface.at(xyz[:, 0], xyz[:, 1])
         yield Row(
             seed=seed, rig=family, kind=KINDS[body.label], refused="", features=shape_of(product).features,
-            grades=papers_grades(product), weight={},
-            defect={"shown_mm": float(np.abs(off).max(initial=0.0))},
+            grades=papers_grades(product), shown_mm=float(np.abs(off).max(initial=0.0)),
         )  # fmt: skip
 
 

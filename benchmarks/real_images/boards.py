@@ -7,55 +7,16 @@ without outliers: it comes from no extractor.
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.real_images import prepared, sound
-from benchmarks.tables import Table, number
 from roemetry.records.arrays import Floats
-from roemetry.stages import Extractor
 
 POSES = 12
-NEAR_PX = 4.0
-CHANNELS = ("grey", "red", "green")
 _PLATE = (-1.5, 7.5)
-
-
-def boards(home: Path, stages: Mapping[str, Extractor[Any]]) -> Table:
-    """Judge extractors on the boards, whose images are in a folder."""
-    found: dict[tuple[str, str], list[tuple[float, float, float]]] = defaultdict(list)
-    for pose in range(POSES):
-        dark = cv2.imread(str(home / "calib_picture" / f"calib{pose}.jpg"))
-        lit = cv2.imread(str(home / "light_picture" / f"light{pose}.jpg"))
-        line = line_on_board(dark, lit)[::-1]  # by row of the turned image
-        on_board = np.isfinite(line)
-        for channel in CHANNELS:
-            frame = prepared(lit, turn_deg=90, channel=channel, dark=dark)
-            for name, stage in stages.items():
-                row, x_px = sound(stage.extract(frame))
-                near = np.abs(x_px - line[row]) <= NEAR_PX
-                seen = np.zeros(line.size, bool)
-                seen[row[near]] = True
-                others = float((on_board[row] & ~near).sum()) / on_board.sum()
-                share = 100.0 * seen[on_board].mean()
-                found[name, channel].append((share, others, roughness(row[near], x_px[near])))
-    rows = []
-    for name in stages:
-        cells = [name]
-        for channel in CHANNELS:
-            shares, others, scatter = np.array(found[name, channel]).T
-            told = f"{shares.min():.1f} ({shares.mean():.1f}); {number(float(others.mean()), 2)}"
-            cells.append(f"{told}; {number(float(np.median(scatter)), 2)}")
-        rows.append(cells)
-    what = "found over the width, %: worst (mean); others a column; roughness, px"
-    head = ["extractor", *(f"{channel}: {what}" for channel in CHANNELS)]
-    return Table("Red line on 12 boards, laser-off image taken away", head, rows)
 
 
 def line_on_board(dark: NDArray[Any], lit: NDArray[Any]) -> Floats:
@@ -90,10 +51,3 @@ def circles(dark: NDArray[Any]) -> NDArray[np.float32]:
     if not found:
         raise SystemExit("the circles of a board were not found")
     return np.asarray(centres).reshape(-1, 2)
-
-
-def roughness(row: NDArray[np.int64], x_px: Floats) -> float:
-    """Give the scatter of the line about its neighbours: of second differences, as of a single row, px."""
-    bend = x_px[:-2] - 2.0 * x_px[1:-1] + x_px[2:]
-    bend = bend[(np.diff(row)[:-1] == 1) & (np.diff(row)[1:] == 1)]
-    return float(1.4826 * np.median(np.abs(bend)) / np.sqrt(6.0)) if bend.size else float("nan")

@@ -33,7 +33,7 @@ SEARCH_SPACING = 0.3
 WIDTHS = (1.0, 0.5, 0.25)
 """Widths of the biweight over the search, one a round: a product's light lies anywhere within the search, the
 belt's crowds, so narrowing finds the crowd. Fewer rounds may stop at a product's edge."""
-LAST_ROUNDS = 4
+LAST_ROUNDS = 4  # at most, with the width of the last biweight, until nothing moves
 SETTLED_PX = 0.002
 """A round that moves nothing by more is the last: far below the 0.01 px to which the fit is known."""
 SIGMAS = 4.0

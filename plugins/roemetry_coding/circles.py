@@ -62,6 +62,7 @@ _NOTHING_BESIDE = 3.0
 _CHANGE, _CHANGE_AT_KINK = 30.0, 3.0
 """Of another label from piece to piece."""
 _DISORDER = 40.0
+"""Of neighbouring pieces out of order: more than any light that is no circle's costs (`_NOTHING`)."""
 _STEEP = 2.0
 """Slope of surfaces, in heights per distance, that costs 1: 63°."""
 _BROKEN = 9.0
@@ -72,7 +73,7 @@ _ROWS_BESIDE_MIN = 3
 """Rows that two pieces must share to be neighbours."""
 _ROUNDS = 30
 """Of passing costs: more than there are pieces on most curves."""
-_DAMPED = 0.5
+_DAMPED = 0.5  # of a message is kept from round to round, so that loops do not swing
 _EVIDENCE_MIN = 8.0
 """Cost of the next best label over the best, from which on a label is given: odds of 1 to 50."""
 _LABELLED_MIN = 0.5

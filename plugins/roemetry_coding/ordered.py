@@ -104,7 +104,7 @@ class Ordered(Coder[OrderedOptions]):
 
 Places = NDArray[np.uint64]
 
-_FAR = 1e9
+_FAR = 1e9  # dearer than any path: none has been found yet
 _STEP_MAX = 1.0
 """A step of the surface between two stripes costs at most this, in label heights."""
 _SKIP = 0.6
@@ -113,7 +113,7 @@ _FALSE = 1.6
 """A peak that is no stripe costs this."""
 _REST = 0.3
 """A peak on the belt, on its own rest line, gains this."""
-_LOOK_BACK = 3
+_LOOK_BACK = 3  # peaks before a peak that may be its neighbour: those between are false
 DEAREST = 2.0 * _SKIP
 """A verdict is dearer than another by this at most: one stripe put in another place and one left out."""
 

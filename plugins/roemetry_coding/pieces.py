@@ -454,7 +454,7 @@ _CUT_ROWS, _STEP_ASIDE_PX = 6, 2.5
 """A trace that steps aside by so much is cut there; rows on either side that say where it goes."""
 _FIT_ROUNDS, _FIT_WITHIN = 12, 0.4
 """Fit of the spacing: rounds, and the logarithm beyond which a distance is not that of neighbours."""
-_FIT_PAIRS_MIN = 50
+_FIT_PAIRS_MIN = 50  # distances of neighbours: from fewer no spacing is fitted
 _TURN_MAX = math.radians(45.0)
 """What turns by more is not taken for the same stripe, nor for its neighbour, rad."""
 # rows that the two may share, and spacings that they may lie apart, where one goes on in the other

@@ -37,7 +37,7 @@ _REACH_SHARE = 1.0
 """Of the lines' distance: as far is a stripe looked for in the next row; farther away none is near."""
 _STEP_MAX_PX = 3.0
 """Steps before and after the jump are those of a surface that this camera sees whole."""
-_STRIPES_MIN = 5
+_STRIPES_MIN = 5  # that two neighbouring rows share: the median jump of fewer is not asked for
 _JUMP_MIN_PX = 0.4
 """A median jump below it moves no volume by more than some tenths of a percent."""
 _ROUNDED_JUMP_MIN_PX = 2.5

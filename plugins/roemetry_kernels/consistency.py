@@ -14,7 +14,7 @@ from roemetry.records.calibration import Calibration
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.image_levels import median_of
 
-_MISSING_ROWS = 2
+_MISSING_ROWS = 2  # to either side: single peaks may be missing
 _REACH_STRIPES = 2
 """A product hides a stripe only if it is seen within this many stripes of it."""
 HIDING_SPACINGS = 0.15

@@ -84,7 +84,7 @@ _QUANTILE = 0.2  # of the blocks' noise: the dark ones, without stripes and text
 _QUANTILE_OF_CHI = 0.791
 """That quantile of the root mean square of 15 differences of white noise, over the true one; found by drawing
 ten million blocks."""
-_QUANTISATION = 1.0 / math.sqrt(12.0)
+_QUANTISATION = 1.0 / math.sqrt(12.0)  # grey levels: standard deviation of rounding
 _NOISES = 10.0  # that a stripe rises at least
 RISE_MIN = 6.0
 """Of 255 grey levels, that a stripe rises at least."""

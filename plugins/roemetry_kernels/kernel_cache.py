@@ -187,7 +187,7 @@ def _imported(path: Path) -> tuple[Path, ...]:
 
 _WAIT_S = 120.0
 """Longer than any kernel takes; who has waited so long compiles for itself."""
-_LOOK_S = 0.02
+_LOOK_S = 0.02  # between two tries for a lock that another process holds
 
 _mine: set[Path] = set()
 """Files whose turn this process has; numba's own lock lets one thread at a time look."""

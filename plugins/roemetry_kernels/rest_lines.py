@@ -20,9 +20,9 @@ from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.tracing import nearest_rest
 
 _SIGMAS = 4.0  # of the belt's scatter: 6 in 100,000 belt points lie farther off
-_TOLERANCE_MIN_PX = 1.0
-_SEARCH_PX = 3.0
-_MOVED_MAX_PX = 1.0
+_TOLERANCE_MIN_PX = 1.0  # of a rest line, however little the belt scatters
+_SEARCH_PX = 3.0  # of a rest line: peaks farther off tell nothing of the belt
+_MOVED_MAX_PX = 1.0  # of the belt's stripes on the mean: a frame beyond it is refused
 _MOVED_PX = 0.25
 """The mean of some thousand belt points is known far better than this."""
 _OUTER_SHARE = 0.1  # of the rows, at the top and the bottom: there products are fewest

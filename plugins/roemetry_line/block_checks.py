@@ -25,7 +25,7 @@ from roemetry_line.outbox import Outbox
 from roemetry_line.runs import tiff_of
 
 _FOLDER = "checks"
-_LOOK_S = 0.25
+_LOOK_S = 0.25  # between two looks at whether the line stops
 _FRAME_S = 60.0
 """How long a frame is waited for once a check is asked for, s; then a product's frame is not taken for it."""
 

@@ -22,7 +22,7 @@ from roemetry_line.log import log
 from roemetry_line.outbox import Outbox
 from roemetry_line.outlets.database import COLUMNS, NUMBERS, PostgresTable, SqliteTable, connect
 
-_DAY_S, _HOUR_S = 86400.0, 3600.0
+_DAY_S, _HOUR_S = 86400.0, 3600.0  # seconds in each
 _FIRST_S = 60.0
 """After so long it is done first, s: not while the line starts."""
 _LATE_DAYS = 7

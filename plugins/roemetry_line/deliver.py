@@ -20,7 +20,7 @@ from roemetry_line.process import alone, settle, stop_event
 
 _BATCH = 100
 """Rows that are handed to an outlet at once, at most: after an outage they go out by the hundred."""
-_TICK_S = 0.25
+_TICK_S = 0.25  # between two looks at whether rows or the end have come
 _REOPEN_S = (0.5, 1.0, 2.0)
 """How long a receiver that is not there is left alone, the first times and from then on, s."""
 _DRAIN_S = 5.0
@@ -28,7 +28,7 @@ _DRAIN_S = 5.0
 _END_S = 12.0
 """How long, once asked to stop, an outlet that is being opened, or hangs, is waited for, s: its rows stay in
 the outbox. `serve` would kill this process later."""
-_CARE_S = 1.0
+_CARE_S = 1.0  # between two rounds of telling the state and of pruning
 _PAUSE_S = 0.01
 """What stations that write get of the outbox between two steps of its pruning, s."""
 _MARK_S = 0.25

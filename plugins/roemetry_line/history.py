@@ -29,7 +29,7 @@ from roemetry_line.outlets.database import PostgresTable, SqliteTable, connect
 Figure = Literal["mass_g", "volume_mm3", "height_mm", "latency_ms"]
 FIGURES: tuple[Figure, ...] = ("mass_g", "volume_mm3", "height_mm", "latency_ms")
 
-_ROWS_MAX = 200_000
+_ROWS_MAX = 200_000  # newest rows that a chart is drawn of
 
 
 def charts_of(

@@ -20,7 +20,7 @@ _EVERY_S = 0.25
 """Four pictures a second: more than a person can read."""
 _WATCHED_S = 5.0
 """So long after the page has asked last somebody is taken to look."""
-_POINTS_MAX = 4000
+_POINTS_MAX = 4000  # about so many are sent; of more every second, third, …
 
 
 class LiveView:

@@ -16,7 +16,7 @@ from pathlib import Path
 from roemetry.errors import OutputError
 from roemetry.io.files import exclusive, make_folder
 
-_WAIT_S = 0.2
+_WAIT_S = 0.2  # between two tries
 
 
 def runs_now(folder: Path) -> bool:

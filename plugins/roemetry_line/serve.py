@@ -63,7 +63,7 @@ def notify_systemd(what: str) -> None:
         out.sendto(what.encode(), "\0" + address[1:] if address[0] == "@" else address)
 
 
-_TICK_S = 0.2
+_TICK_S = 0.2  # between two looks at the processes
 _RESTART_S = 0.5
 """How long a process that died is left before it is started again, s."""
 _STUCK_S = 10.0

@@ -74,7 +74,7 @@ _RETRY_S = 0.5
 """How long a disk that refuses is left alone before it is tried again, s."""
 _RELOAD_S = 1.0
 """How often the recipe's file is looked at, s."""
-_DISK_LOW_GB = 1.0
+_DISK_LOW_GB = 1.0  # free, below which it is said
 _OPENING_S = 15.0
 """So long a driver may take to open a camera, s."""
 _SILENT_S = 2.0

@@ -33,7 +33,7 @@ from roemetry_patterns.surface_points import points_of
 
 _SLICES_MIN = 3
 """Lines that show something of the product: a cross hair has two."""
-_RIM_POINTS = 60
+_RIM_POINTS = 60  # of a contour, evenly spaced, that stand for all of it
 _NODES = 40, 12
 """Lines over the footprint, nodes on each (Gauss in the angle whose sine is the place: of upright ends, too,
 so few tell the integral to 0.05 %)."""

@@ -69,7 +69,7 @@ _EVIDENCE_MIN = 12.0
 _CONFIRMED_MIN = 2
 """Neighbours on a surface that is less steep, of those that have a label. Of 1,038 dots on products all that
 were right have two; two cut dots on the rays of others, 28 mm too high, confirmed each other alone."""
-_ROUNDS = 4
+_ROUNDS = 4  # in which each dot's costs take in what its neighbours cost
 _ON_RAY_MIN = 0.6
 """Share of the dots that must lie on some ray's curve: of another pattern's, a fifth does."""
 _SEEN_MIN = 0.55

@@ -257,7 +257,7 @@ def middles_of_clipped(s: Stripes, noise: Floats, contrast2: Floats, x_px: Float
 _ROWS = 12  # rows at most that tell where the flank is leading
 _WHOLE = 8  # rows at most that tell the width, the nearest ones with both flanks
 _BACK = 40  # rows, that these may lie farther back
-_WHOLE_MIN = 5
+_WHOLE_MIN = 5  # rows in which the stripe was whole: from fewer its width is not known
 _GOES_ON, _GOES_ON_PX = 0.25, 2.0  # of the stripe's width, and in px, from where the flank was leading
 _STEP_PX = 6.0  # from row to row, along one stripe
 _TURNS, _BENDS = 0.3, 0.05  # by how much a row counts in where the flank is, and where it is leading

@@ -40,7 +40,7 @@ _LAST_STEPS = 5  # at most, without outliers
 _ENOUGH = 0.1  # of its standard uncertainty: a centre that moves by less rests
 _OUTLIER = 5.0  # standard deviations; pixels beyond are left out of the last steps
 _SHIFT_MAX = 2.5  # standard deviations of the stripe from the start
-_SIGMA_MIN_PX, _SIGMA_MAX_PX = 0.3, 0.5 * ROOM / WINDOW
+_SIGMA_MIN_PX, _SIGMA_MAX_PX = 0.3, 0.5 * ROOM / WINDOW  # of a stripe: a wider one's window has no room
 
 Pixels = NDArray[Any]
 Bytes = NDArray[np.uint8]
@@ -208,7 +208,7 @@ HALF_INVERSE, M, IV, W0, W1, W2, W3 = range(10 * LANES, 17 * LANES, LANES)
 N00, N01, N02, N11, N12, N22, G0, G1, G2, H0, H1, H2 = range(17 * LANES, 29 * LANES, LANES)
 U, E, MU, P1, P2, P3, P4, SPREAD, SPECKLE = range(29 * LANES, 38 * LANES, LANES)
 GOOD, MOVES, R, ERROR, RHO, LEFT, RIGHT, TABLE = range(38 * LANES, 46 * LANES, LANES)
-_E3, _E4, _E5, _E6, _E7, _E8 = 1 / 6, 1 / 24, 1 / 120, 1 / 720, 1 / 5040, 1 / 40320
+_E3, _E4, _E5, _E6, _E7, _E8 = 1 / 6, 1 / 24, 1 / 120, 1 / 720, 1 / 5040, 1 / 40320  # 1/n!: exp as a series
 
 
 @kernel(fastmath={"contract", "nsz"}, error_model="numpy")

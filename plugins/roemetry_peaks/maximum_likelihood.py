@@ -92,8 +92,8 @@ _SAMPLES = (240, 720)
 """Peaks that tell of the noise, in the first and the second pass. Up to twice as many give the same centres
 and uncertainties on drawn images (one material, two, tissue); after one pass alone intervals on tissue under
 speckle 0.25 hold 89 instead of 94 %."""
-_GOLDEN = 0.6180339887498949
-_FIRST_CONTRAST = 0.1
+_GOLDEN = 0.6180339887498949  # (√5 − 1)/2: multiples of it, less whole numbers, repeat latest
+_FIRST_CONTRAST = 0.1  # of the speckle, until the first pass has measured it
 _READ_SHARE = 2.0  # of the variance beside the stripes, that the read noise's can be
 _READ_MOST = 0.02  # of white, that it can be even where what is dark was made smooth (JPEG, subtraction)
 _GAIN_SHARE = 1.0 / 255.0  # of white, that an electron can be

@@ -43,8 +43,8 @@ _DIFFERENT = 0.4  # standard deviation of the tiles' C² over their mean, from w
 _NEXT_TO_NONE = 0.03**2  # of C²: less is what chance makes of none
 _PEAKS_MIN = 6  # a tile with fewer has the image's contrast
 _SECOND_ORDER = 1.3  # a fit follows strong speckle further than its linear leverage tells; found by drawing
-_CORRELATIONS = np.linspace(0.0, 0.9, 181)
-_LAGS = _CORRELATIONS[:, None] ** np.array([0.0, 1.0, 4.0, 9.0])
+_CORRELATIONS = np.linspace(0.0, 0.9, 181)  # that are tried, in steps of 0.005
+_LAGS = _CORRELATIONS[:, None] ** np.array([0.0, 1.0, 4.0, 9.0])  # ρ to the lag squared: a Gaussian
 _ROWS = 8  # beyond which nothing is correlated along the stripe
 _USUAL, _USUAL_STD = 0.5, 0.25  # the correlation of neighbouring pixels, where the image says little
 

@@ -76,7 +76,7 @@ _PEAKS_MIN = 8
 """Profiles below which a part says nothing."""
 _BINS = 41
 """Bins of the mean profile, a quarter of a standard deviation wide: to ±5."""
-_PER_SIGMA = 4
+_PER_SIGMA = 4  # bins a standard deviation
 _LEVELS = (0.25, 0.5, 0.75)
 """Of the profile's height, where its chords are looked at: below, background decides; above, noise."""
 _SHARE_MIN = 0.03

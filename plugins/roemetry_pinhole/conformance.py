@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 _FAR_MM = 1e7  # a camera ten kilometres up sees in parallel
 _NEAR_MM = 300.0  # and one at a usual distance
 _BOARD = Board("board", "chessboard", columns=9, rows=6, pitch_mm=5.5, tolerance_mm=0.01, flatness_mm=0.01)
-_POSES = 8
-_SAMPLES = 4
-_SCATTER_PX = 0.03
+_POSES = 8  # of the board, besides the one on the belt
+_SAMPLES = 4  # of a pixel in either direction, so that printed edges are grey
+_SCATTER_PX = 0.03  # of peaks in calibration images
 
 
 def calibration_of(rig: LinearRig) -> Calibration:

@@ -257,7 +257,7 @@ _STEP_MM = 1e-3  # step of derivatives by described lengths, mm: lengths are som
 
 
 _HEIGHTS = (0.6, 0.8, 1.0, 1.3)  # of the projector over the belt, in distances of the camera
-_ANGLES_DEG = np.arange(10.0, 61.0, 2.5)
+_ANGLES_DEG = np.arange(10.0, 61.0, 2.5)  # of the light to the vertical that are tried, to either side
 _TRIED = 8  # best places of the projector by a part of the peaks that are tried with all of them
 _TRIED_VIEWS = 2  # images that are looked at in the first trial
 _PEAKS_MAX = 1500  # peaks of each of them: more tell nothing more and take their time

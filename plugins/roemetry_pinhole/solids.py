@@ -155,6 +155,7 @@ _DISTANCES = (0.76, 0.84, 0.92, 1.0, 1.08)
 """Of the distance by the solid's extent: what is hidden of it and its edges make that wrong by up to a
 fifth."""
 _TILTS_DEG = [(x, y) for x in (-12.0, -4.0, 4.0, 12.0) for y in (-12.0, -4.0, 4.0, 12.0)]
+"""Of the camera about its x and y axes, that starts are tried at."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -24,7 +24,7 @@ from roemetry_report.words import counted
 
 SHOWN_FROM = 100
 """Rows from which a run is long: fewer are seen in the table."""
-_BINS = 40
+_BINS = 40  # of a histogram
 _PARTS = 120
 """Parts of a run, one after another, whose medians a trend shows."""
 _STANDING_OUT = 3

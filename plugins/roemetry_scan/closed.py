@@ -33,7 +33,7 @@ CAUSES = (
     "belt off its zero", "length of the line",
 )  # fmt: skip
 """Parts of a true volume's budget."""
-_STATIONS, _ACROSS = 240, 240
+_STATIONS, _ACROSS = 240, 240  # sections along the belt, and places across it
 _FLANK_POINTS = 12
 """Of a section's end, which tell how it goes on."""
 _EVERY, _HALVINGS = 4, 10

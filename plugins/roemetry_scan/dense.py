@@ -33,7 +33,7 @@ from roemetry.stages import Capabilities, StageOptions, VolumeEstimator
 from roemetry_kernels.compiling import float_kernel
 from roemetry_scan.flanks import POINTS, conic
 
-_UNIFORM = 1.0 / math.sqrt(12.0)
+_UNIFORM = 1.0 / math.sqrt(12.0)  # standard deviation of a uniform distribution over its width
 _UP_TO = 1.0 / math.sqrt(2.0)
 """Of the volume that may be missing beside slices: the more, the likelier. Where noise took a potato's flanks
 it was 97 % of it."""
@@ -60,7 +60,7 @@ TO_RIM = 2.0 / 3.0
 """Of the last point's height over the rim, on the mean from there to it: a parabola's."""
 _SURFACE_SLICES, _SURFACE_POINTS = 160, 64
 """Of a drawn surface, at most."""
-_COVERAGE_FACTOR = 1.959964
+_COVERAGE_FACTOR = 1.959964  # of a normal distribution's 95 %
 
 
 class Sections(NamedTuple):

@@ -57,7 +57,7 @@ _RMS_MAX_SHARE = 0.01
 """Of the body's height: a worse fit is another body, or a calibration that is none."""
 _PITCH_STD_MAX, _LEAN_STD_MAX_DEG = 0.002, 0.1
 """Above these one pass did not tell the motion: relative, and of its direction."""
-_NEAR_MM = 0.3
+_NEAR_MM = 0.3  # of the belt's plane: points as near to it are belt
 
 
 def measured_motion(

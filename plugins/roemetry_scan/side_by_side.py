@@ -29,7 +29,7 @@ from roemetry_scan.dense import budget_of, estimate_of, sections_of
 from roemetry_scan.flanks import usual_step
 from roemetry_scan.formats.points import Measured, profiles_of
 
-_BALLS_MIN = 3
+_BALLS_MIN = 3  # that two heads share: fewer leave a turn open
 _LEVER_MIN_MM = 3.0
 """Balls that lie nearer to one straight line tell no turn about it."""
 _TURNED_MAX_DEG = 10.0

@@ -25,7 +25,7 @@ _SLOPE_MIN = 0.05
 """Flatter places tell little of δ and only dilute its uncertainty."""
 _GAP_STEPS = 2.5
 """Neighbours farther apart than so many usual steps are not joined."""
-_POINTS_MIN = 40
+_POINTS_MIN = 40  # of a window, on slopes: fewer tell no δ
 _SIGNIFICANT = 5.0
 """Standard deviations of δ: of 12 windows one passes that by chance in 150,000 scans."""
 _SHARE_MIN = 0.004

@@ -284,7 +284,7 @@ def _plain(value: Any) -> Any:
 
 Folds = Sequence[tuple[Integers, Integers]]
 
-FOLDS = 5
+FOLDS = 5  # of cross-validation: each holds a fifth of the groups back
 PER_CLASS_MIN = 5
 """Of a class for a regression: one in each fold."""
 

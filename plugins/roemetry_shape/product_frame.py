@@ -202,8 +202,8 @@ SAMPLES = 65
 
 EVEN = np.linspace(-1.0, 1.0, SAMPLES)
 """Their places, from one edge to the other."""
-_POINTS_MIN = 12
-_WIDTH_MIN_MM = 2.0
+_POINTS_MIN = 12  # of a section: fewer show no course across it
+_WIDTH_MIN_MM = 2.0  # of a section: narrower is a tip or a speck
 _SLIVER = 0.15
 """Of the largest height: whether a stripe still shows a lower outer section is a matter of light."""
 

@@ -50,7 +50,6 @@ _STEP = 2
 _SECTIONS_MIN = 5
 """For a cubic along: one more than its coefficients."""
 
-_RIDGE = 1e-9
 _SPREAD_LEAST_MM2 = 4.0
 """Of squared heights: 0.15 mm at a height of 13 mm. Weights do not follow finer relief than this."""
 

@@ -32,7 +32,7 @@ _ENOUGH_PCT = 0.1
 """Sampling error that no longer counts beside what flanks cost."""
 _FLANKS_PCT = 0.2
 """Of a volume, RMS: what is not seen of flanks (docs/measurements/scans.md)."""
-_SPACINGS_MM = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
+_SPACINGS_MM = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)  # of lines, that are tried
 _STILL_TABLES = ("products", "numbers")
 _STILL_CURVES = ("volume-error", "price", "spacing-height")
 """Of the plan of a rig under which nothing moves: there the stripes' spacing is that of slices."""

@@ -64,7 +64,7 @@ _GRID_PX, _GRID_POINTS = 12, 2500  # of the polynomial through the image's own b
 _ROUNDS = 6  # of reweighting: the belt's brightness has settled by then
 _RIDGE = 1e-10  # keeps the equations solvable where the belt is seen on one side only
 
-_CORE_SMOOTH_PX = 2.0
+_CORE_SMOOTH_PX = 2.0  # of the image in which product and belt are told apart
 _LEAST_CORE_SHARE = 5e-4
 """Of the image: smaller cores are dirt."""
 _LEAST_CORE_CONTRAST = 0.08

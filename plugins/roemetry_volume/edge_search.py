@@ -72,6 +72,7 @@ of the order of the blur, and a half or twice as much moves volumes by less than
 _REACH_PX, _SEARCH_PX, _SEARCH_STEP_PX = 5.0, 2.5, 0.25
 """Of the fit: how far it looks, how far the edge may be from the ring, and in which steps."""
 _FIT_COHERENT, _FIT_ROUND, _FIT_BEND = 1.0, 1.5, 0.3
+"""Of the fit, as above: normals that brightness and places are smoothed over, and the path's stiffness."""
 _FIT_ROUNDS = 5
 """Fits, each in a window around the one before: the fifth moves the edge by less than 0.02 px."""
 _TERMS = 6  # four of the brightness and two of place and noise

@@ -45,15 +45,15 @@ BEYOND = 0.25
 """So much of the samples' range may a feature lie outside of it."""
 
 VISIBLE = "visible_cm3"
-_LEVEL = 0.8
-_CONTOUR_POINTS = 200
-_SLICES_MIN = 4
-_POINTS_MIN = 4
+_LEVEL = 0.8  # of the median height of the slices' ends: the contour is taken to lie so high
+_CONTOUR_POINTS = 200  # of the outline, evenly spaced
+_SLICES_MIN = 4  # fewer have no features
+_POINTS_MIN = 4  # of a slice that counts
 PRIOR = 1.0
 """Ridge on coefficients of standardised features, in samples: as much as one sample that says "no effect"."""
 FREE_MIN = 5
 """Least number of samples beyond the coefficients; so Student's t has a standard deviation at any rate."""
-_FOLDS_MAX = 50
+_FOLDS_MAX = 50  # of cross-validation: up to so many samples each is left out alone
 _SIMPLER = 0.97
 """A form with more features must bring the error below this share of a plainer one's."""
 
@@ -63,12 +63,12 @@ DENSITY_RANGE = (0.05, 25.0)
 UNITS_G = {"kilograms": 1000.0, "pounds": 453.592, "ounces": 28.3495, "milligrams": 0.001}
 """Grams in each."""
 
-_LIKELY = (0.2, 3.0)
-_SAME_UNIT = 0.2
-_FAR_STDS = 4.0
-_FAR_SHARE = 0.1
-_NAMED = 5
-_FOR_TREND = 8
+_LIKELY = (0.2, 3.0)  # g/cm³: a unit that brings the masses there is named
+_SAME_UNIT = 0.2  # in natural logarithms: a mass off by a unit's factor is off by it to 20 %
+_FAR_STDS = 4.0  # of the samples' robust scatter, and
+_FAR_SHARE = 0.1  # of the fitted mass: what is farther off than both is named
+_NAMED = 5  # samples in a message
+_FOR_TREND = 8  # samples from which on masses must follow volumes
 _BY_CHANCE = 0.05
 """Ranks that agree no better than this share of shuffled tables do show no trend."""
 

@@ -59,7 +59,7 @@ _STRIPE = 6.0
 _SAMPLED = 5  # every fifth row and column tell it
 _GROWN = (5, 13)
 """Rows and columns by which a stripe is grown: its skirts are laser light."""
-_BLOCK_PX = 8
+_BLOCK_PX = 8  # side of the blocks that are compared with the usual one
 _OFF_BELT, _OFF_BELT_MIN = 4.0, 0.1
 """Blocks of the plain image that differ from the usual one by more, in scatters and in log brightness, are no
 bare belt in even light, and neither are their neighbours."""

@@ -25,7 +25,7 @@ from roemetry_volume.surface_fit import LONG_AXIS, FittedSurface, fit_surface, p
 from roemetry_volume.underside import UndersideOptions, estimate_of, true_volume, underside_reasons
 
 _STEPS = 0.7  # of what single slices depart from the course of the others
-_STEPS_LEAST = 4
+_STEPS_LEAST = 4  # inner slices: fewer have no course to depart from
 _SMOOTH = 0.012  # of the volume: what a dent or a bend does is in the plate's own budget
 _BEYOND, _FAR_BEYOND = 0.015, 0.15
 """Of what lies beyond the outer slices, and times its share: rolls reach far beyond them, roe hardly."""
@@ -259,7 +259,7 @@ OUTLINE = "outline"
 # chosen so that 95 % intervals hold the truth as often as they say: docs/reference/plugins/outline-surface.md
 _BETWEEN = 0.13  # of what leaving single slices out changes, in quadrature: with them, gaps are half as wide
 _FEW = 7.0  # and that over the square of their number: few slices do not show how smooth the product is
-_STIFFER = 30.0
+_STIFFER = 30.0  # times the plate's stiffness, of another plate that it is compared with
 _SETTINGS = 0.4  # of what a plate so much stiffer changes
 _LEAST_STD = 0.0004  # of the volume: the border's place and shape, however many stripes there are
 _STEP_MM = 0.2
@@ -294,9 +294,7 @@ def _left_out(fused: FittedSurface) -> float:
 
 def _stiffer(fused: FittedSurface) -> float:
     rim = fused.contour[~fused.open_end][::2]
-    plate = plate_through(
-        fused.knots, LONG_AXIS * rim[:, 0], rim[:, 1], np.full(rim.shape[0], 6.0), stiffness=_STIFFER
-    )
+    plate = plate_through(fused.knots, LONG_AXIS * rim[:, 0], rim[:, 1], stiffness=_STIFFER)
     return _volume(fused, plate.at(LONG_AXIS * fused.s, fused.v))
 
 

@@ -25,7 +25,7 @@ from roemetry_kernels.compiling import kernel
 from roemetry_volume.quadric_ends import edges_missed, quadric_end
 from roemetry_volume.slice_table import AREA, TOP, WALL, WIDTH, Slices, three_outer
 
-NO_CAP, TAPERED, BLUNT = 0.0, 1.0, 2.0
+NO_CAP, TAPERED, BLUNT = 0.0, 1.0, 2.0  # numbers, for kernels keep them beside lengths
 
 WAIST = 0.35
 """A slice under that share of some on both sides of it is a waist."""
@@ -49,7 +49,7 @@ _WALL_STD = 0.5 / math.sqrt(3.0)  # of the way that a plane leans over the heigh
 _LEVEL = 0.9
 """Of the next slice's height: an outer slice so high may have an upright end beyond it or before it, anywhere
 up to the next stripes, and light that leans passes over that (a rectangle each)."""
-_OPEN_SPACINGS = 2.0
+_OPEN_SPACINGS = 2.0  # beyond the outer slice, and
 _OPEN_SHARE = 0.2  # of the product's lit length; beyond either, an open end's taper is not believed
 
 

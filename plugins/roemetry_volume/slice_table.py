@@ -185,15 +185,15 @@ falls between two humps, over the lower one; area bridged beyond the outermost p
 of straight lines over what is left out as a hole (mm²); mean square of the heights of both ends (mm²)."""
 
 _STEP_MAX = 1.5  # rows; a larger step between neighbours means that rows are missing
-_HOLE_SHARE = 0.3
-_GAP_SHARE = 0.4
+_HOLE_SHARE = 0.3  # of the slice's top: a gap with both ends lower is a hole down to the belt
+_GAP_SHARE = 0.4  # of the slice's length: a wider gap is left out as a hole
 _STEP_SHARE = 0.15  # of the slice's top
-_LEVEL_ROWS, _LEVEL_SHARE = 4, 0.3
-_END_ROWS = 4
-_JUMP, _JUMP_MM = 2.2, 0.8
+_LEVEL_ROWS, _LEVEL_SHARE = 4, 0.3  # rows beside a step, and how much of it they may fall by
+_END_ROWS = 4  # at either end that may see belt beside the product
+_JUMP, _JUMP_MM = 2.2, 0.8  # of a height there: times the next rise, and mm
 _TAIL_POINTS = 12
 """Points of a slice's end that say how it goes on: about two millimetres, over which a dome is a parabola."""
-_Y, _Z, _ROW, _SEEN = range(4)
+_Y, _Z, _ROW, _SEEN = range(4)  # columns of a slice's points
 
 
 @float_kernel

@@ -27,28 +27,28 @@ from roemetry_volume.footprint import (
 from roemetry_volume.rim import Rim, StripePoints, ends_of, fitted_rim, rim_at
 from roemetry_volume.spline import Grid, add_points, bending, values_at
 
-LONG_AXIS = 0.4
-_POINTS = 400
+LONG_AXIS = 0.4  # by which lengths along the product are shrunk in the plate's coordinates
+_POINTS = 400  # of the outline, evenly spaced
 _ROUNDS, _ROUNDS_ON = 3, 2
 """From nothing, and from a solution: a third round from it moves an uncertainty by 1.2 % at most."""
-_NODES = 40, 14
-_RIM_WEIGHT = 6.0
-_OPEN_RATIO = 0.9
+_NODES = 40, 14  # of the integral over the footprint, along and across
+_RIM_WEIGHT = 6.0  # of a point of the rim in the plate
+_OPEN_RATIO = 0.9  # of the next slice's height: a lower outer slice has begun to fall
 _UPRIGHT = 0.95
 """Of the next slice's highest u: an outer slice so high has not begun to fall, and ends in a wall, as a box
 or a broken skein does."""
-_OPEN_MISS = 0.15
+_OPEN_MISS = 0.15  # of an outer slice's level, by which the plate through the others is lower at an open end
 _OVER_RIM = 1.0  # mm²: what is hardly over the rim ends with it, upright or not
-_FACING = 0.85
-_BELOW_RIM_MM = 0.3
-_WALL_MM = 1.5
-_PROBE_MM = 1.0
-_SETTLED_MM = 0.03
+_FACING = 0.85  # cosine between the contour's normal and the product's axis: it faces the end
+_BELOW_RIM_MM = 0.3  # a point so far below the rim is on the dome only
+_WALL_MM = 1.5  # if it lies farther inside: nearer it is on a wall
+_PROBE_MM = 1.0  # inside the contour, where the dome tells how steeply it falls
+_SETTLED_MM = 0.03  # a round that moves the contour by less is the last
 _FOLLOWED_MM = 0.003
 """From a solution: one round follows a calibration, an outline that moves takes a second one (with one alone
 its part came out up to 12 % too small on thin skeins)."""
 _WALL_REACH_MM = 0.4  # two rows: a wall that shows by less is not told from its edge
-_FEW, _BELT_SHARE = 3, 0.5
+_FEW, _BELT_SHARE = 3, 0.5  # points at an end before a gap, lower than that share of the next: belt
 _HALF_LINE_MM, _HALF_LINE_SHARE, _SLICES_LEAST = 0.5, 0.1, 3
 """Of a line of light about 1 mm wide, or a fifth of the distance to the next one if that is less: a slice of
 which no point lies so far within the outline is the flank of one whose centre passes beside the body. On a
@@ -428,7 +428,7 @@ def end_kind(
 
 def _plate(knots: Knots, contour: Floats, open_end: Any) -> Plate:
     rim = contour[~open_end][::2]
-    return plate_through(knots, LONG_AXIS * rim[:, 0], rim[:, 1], np.full(rim.shape[0], _RIM_WEIGHT))
+    return plate_through(knots, LONG_AXIS * rim[:, 0], rim[:, 1])
 
 
 @float_kernel
@@ -594,15 +594,14 @@ def _solved(factor: Floats, right: Floats) -> Floats:
     return np.asarray(dpbtrs(factor, right, lower=1)[0])
 
 
-def plate_through(
-    knots: Knots, rim_s: Floats, rim_v: Floats, rim_weight: Floats, stiffness: float = 1.0
-) -> Plate:
+def plate_through(knots: Knots, rim_s: Floats, rim_v: Floats, stiffness: float = 1.0) -> Plate:
     """Fit a plate through the knots and through 0 at places of the rim; `stiffness` times as stiff."""
     s, v = np.concatenate([knots.s, rim_s]), np.concatenate([knots.v, rim_v])
     grid = grid_over(s, v)
     band = _bending_of(grid[3], grid[4], stiffness * STIFFNESS).copy()
     right = np.zeros(band.shape[1])
-    weight, u = np.concatenate([knots.weight, rim_weight]), np.concatenate([knots.u, np.zeros(rim_s.size)])
+    weight = np.concatenate([knots.weight, np.full(rim_s.size, _RIM_WEIGHT)])
+    u = np.concatenate([knots.u, np.zeros(rim_s.size)])
     course = off_course(band, right, grid, s, v, u, weight)
     factor = _factor(band)
     return Plate(grid, course, course + _solved(factor, right), band, factor, right)

@@ -92,7 +92,7 @@ def _library(name: str) -> Any:
         ) from error
 
 
-_POINTS_MIN = 3
+_POINTS_MIN = 3  # of a slice: fewer lie on any plane
 _OFF_PLANE_MM = 1.0
 """Points of one slice may leave its plane by so much, rms: more is no section."""
 _ROWS_BESIDE = 4

@@ -71,7 +71,7 @@ _FAR = 5.0
 _MODES_SHARE = 0.9
 """Of the variance of the product's shape, what the modes of the calibration hold that are run; the sum is
 divided by what they hold. Against all modes the volume's part is then 1.02 to 1.05 times as large."""
-_MODES_MAX = 12
+_MODES_MAX = 12  # of a calibration, however little of the variance they hold
 _BLOCKS, _PLACES = 20, 6
 """Of the lattice on which it is found how far a mode moves points: blocks of rows, and places along x."""
 _ROWS_APART = 8

@@ -13,8 +13,8 @@ from roemetry.records.arrays import Floats
 
 Solid = BlockFile | StaircaseFile | PyramidFile | SpherePlateFile
 
-_BALL_STEPS = 96
-_PLATE_RIM_MM = 5.0
+_BALL_STEPS = 96  # of a ball's circumference
+_PLATE_RIM_MM = 5.0  # of a plate, beside its outer balls
 _SUNK_SHARE = 0.1
 """Part of a ball's diameter that is sunk into its plate, so that it holds."""
 

@@ -7,13 +7,25 @@ import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from roemetry.config.dataset import DatasetWriter, Description, Item
 from roemetry.errors import PluginError
-from roemetry.records import Acquisition, Block, CalibrationSet, Estimate, Frame, Grade, Observation, Weight
+from roemetry.records import (
+    Acquisition,
+    Block,
+    CalibrationSet,
+    Estimate,
+    Frame,
+    Grade,
+    Observation,
+    Peaks,
+    StripeMap,
+    Weight,
+)
+from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Calibration
 from roemetry.stages import (
     INTERFACES,
@@ -32,10 +44,11 @@ from roemetry.stages import (
     Weigher,
 )
 from roemetry.stages.kinds import check_result_type
-from roemetry.testing.circles import CircleRig, level, moved_circles
-from roemetry.testing.dots import DotRig, moved_dots
+from roemetry.testing.belts import SHIFT, belt_under
+from roemetry.testing.circles import CircleRig, level
+from roemetry.testing.dots import DotRig
 from roemetry.testing.runs import failed, measured, run_of, volume_of
-from roemetry.testing.scenes import SEED, GridRig, LinearRig, frame_of, moved_grid, moved_rig
+from roemetry.testing.scenes import SEED, GridRig, LinearRig, frame_of
 from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_from, product_of
 
 BLOCK = Block("block", length_mm=100.0, width_mm=30.0, height_mm=8.0, tolerance_mm=0.05)
@@ -149,8 +162,10 @@ def cases_for(stage: Stage[Any]) -> Cases:
     elif kind in _INPUTS:
         (verb,) = INTERFACES[kind].__abstractmethods__
         make, is_empty = _INPUTS[kind]
-        make = _OF_PATTERN.get(stage.capabilities.pattern, {}).get(kind, make)
-        found = Cases(*(Case(inputs, _calling(verb, inputs), is_empty) for inputs in make(stage)))
+        pattern = _PATTERNS.get(stage.capabilities.pattern)
+        see_light = ("extractor", "coder", "triangulator", "calibrator")
+        three = make(stage) if pattern is None or kind not in see_light else _under(pattern(), kind, stage)
+        found = Cases(*(Case(inputs, _calling(verb, inputs), is_empty) for inputs in three))
     else:
         raise PluginError(f"{type(stage).__name__} is of no kind that has checks")
     empty = None if found.empty is None else _typed(found.empty, kind)
@@ -199,11 +214,10 @@ def _stripes(stage: Stage[Any]) -> Three:
 
 
 def _moved(stage: Aligner[Any]) -> Three:
-    """Peaks that lie 0.8 px beside where the calibration has them, those that do not, and none."""
-    rig = LinearRig()
-    places = rig.x_px(rig.dome()) + 0.8, rig.x_px(rig.belt()), np.full((rig.stripes, rig.rows), np.nan)
+    """Light that lies 0.8 px beside where the calibration has it, light that does not, and none."""
+    belt = belt_under(stage.capabilities.pattern)
     one, other, nothing = (
-        (rig.peaks(x_px, scatter_px=0.1).peaks, rig.calibration(), moved_rig) for x_px in places
+        (peaks, belt.calibration, belt.moved) for peaks in (belt.after(SHIFT), belt.at_rest, belt.unseen)
     )
     return one, other, nothing
 
@@ -306,157 +320,67 @@ _INPUTS: dict[str, tuple[Callable[[Any], Three], Callable[[Any], bool]]] = {
 """By kind, the inputs of its verb, and whether a result holds nothing."""
 
 
-def _dot_frames(stage: Extractor[Any]) -> Three:
+class _Pattern(NamedTuple):
+    """What stages for other light than lines are shown."""
+
+    rigs: tuple[LinearRig, LinearRig]
+    calibration: Calibration
+    image: Callable[[Any], Floats]
+    peaks: Callable[[Any], Peaks]
+    stripes: Callable[[Any], StripeMap]
+    """image, peaks, stripes: of a scene on the first rig."""
+    scenes: tuple[Any, Any, Any]
+    """A product, another one, and one that is not seen."""
+    bare: Any
+
+
+def _dots() -> _Pattern:
     rig = DotRig()
-    dark = np.full((rig.rows, rig.columns), rig.background)
-    one, other = (frame_of(rig.spots(rig.places_px(heights))) for heights in (rig.hill(), rig.level()))
-    return (one,), (other,), (frame_of(dark),)
+    return _Pattern(
+        (rig, DotRig(pitch_mm=2.9)), rig.dot_calibration(), lambda heights: rig.spots(rig.places_px(heights)),
+        lambda heights: rig.dots(rig.places_px(heights)), rig.dot_map,
+        (rig.hill(), rig.hill(5.0), np.full_like(rig.level(), np.nan)), rig.level(),
+    )  # fmt: skip
 
 
-def _dot_peaks(stage: Coder[Any]) -> Three:
-    rig = DotRig()
-    one, other, nothing = (
-        (rig.dots(rig.places_px(heights)), rig.dot_calibration())
-        for heights in (rig.hill(), rig.hill(5.0), np.full_like(rig.level(), np.nan))
-    )
-    return one, other, nothing
-
-
-def _dots_moved(stage: Aligner[Any]) -> Three:
-    """Dots that lie 0.8 px beside where the calibration has them, those that do not, and none."""
-    rig = DotRig()
-    made = rig.dot_calibration()
-    one, other, nothing = (
-        (rig.dots(places), made, moved_dots)
-        for places in (rig.places_px(rig.level()) + 0.8, rig.places_px(rig.level()), np.full((1, 2), np.nan))
-    )
-    return one, other, nothing
-
-
-def _dot_maps(stage: Triangulator[Any]) -> Three:
-    rig = DotRig()
-    calibration = calibration_for(stage, rig)
-    one, other, nothing = (
-        (rig.dot_map(heights), calibration)
-        for heights in (rig.hill(), rig.hill(5.0), np.full_like(rig.level(), np.nan))
-    )
-    return one, other, nothing
-
-
-def _dot_observations(stage: Calibrator[Any]) -> Three:
-    one, other = (calibration_set_for(stage, rig) for rig in (DotRig(), DotRig(pitch_mm=2.9)))
-    return (one,), (other,), (replace(one, observations=()),)
-
-
-def _grid_frames(stage: Extractor[Any]) -> Three:
+def _grid() -> _Pattern:
     rig = GridRig()
-    one, other = (frame_of(rig.grid_light(rig.hill(height))) for height in (6.0, 0.0))
-    return (one,), (other,), (frame_of(np.full((rig.rows, rig.columns), rig.background)),)
+    upright, across = (np.full_like(height, np.nan) for height in rig.hill())
+    return _Pattern(
+        (rig, GridRig(spacing_px=38.0)), rig.grid_calibration(), rig.grid_light, rig.grid_peaks, rig.grid_map,
+        (rig.hill(), rig.hill(3.0), (upright, across)), rig.hill(0.0),
+    )  # fmt: skip
 
 
-def _grid_peaks(stage: Coder[Any]) -> Three:
-    rig = GridRig()
-    nothing = tuple(np.full_like(height, np.nan) for height in rig.hill())
-    one, other, none = (
-        (rig.grid_peaks(heights), rig.grid_calibration())
-        for heights in (rig.hill(), rig.hill(3.0), (nothing[0], nothing[1]))
-    )
-    return one, other, none
-
-
-def _grid_moved(stage: Aligner[Any]) -> Three:
-    """Both families 0.8 px beside where the calibration has them, those that are not, and none."""
-    rig = GridRig()
-    made = rig.grid_calibration()
-    empty = rig.grid_peaks((np.full_like(rig.hill()[0], np.nan), np.full_like(rig.hill()[1], np.nan)))
-    at_rest = rig.hill(0.0)
-    beside = at_rest[0] + 0.8 / rig.px_per_mm, at_rest[1] + 0.8 / rig.px_per_mm
-    one, other, nothing = (
-        (peaks, made, moved_grid) for peaks in (rig.grid_peaks(beside), rig.grid_peaks(at_rest), empty)
-    )
-    return one, other, nothing
-
-
-def _grid_maps(stage: Triangulator[Any]) -> Three:
-    rig = GridRig()
-    calibration = calibration_for(stage, rig)
-    nothing = tuple(np.full_like(height, np.nan) for height in rig.hill())
-    one, other, none = (
-        (rig.grid_map(heights), calibration)
-        for heights in (rig.hill(), rig.hill(3.0), (nothing[0], nothing[1]))
-    )
-    return one, other, none
-
-
-def _grid_observations(stage: Calibrator[Any]) -> Three:
-    one, other = (calibration_set_for(stage, rig) for rig in (GridRig(), GridRig(spacing_px=38.0)))
-    return (one,), (other,), (replace(one, observations=()),)
-
-
-def _circle_frames(stage: Extractor[Any]) -> Three:
+def _circles() -> _Pattern:
     rig = CircleRig()
-    one, other = (frame_of(rig.circle_light(surface)) for surface in (rig.circle_dome(6.0), level))
-    return (one,), (other,), (frame_of(np.full((rig.rows, rig.columns), rig.background)),)
+
+    def x_px(surface: Any) -> Floats:
+        return np.full((rig.stripes, rig.rows), np.nan) if surface is None else rig.x_on_rows(surface)
+
+    return _Pattern(
+        (rig, CircleRig(pitch_mm=6.3)), rig.circle_calibration(), rig.circle_light,
+        lambda surface: rig.circle_peaks(x_px(surface))[0], lambda surface: rig.circle_map(x_px(surface)),
+        (rig.circle_dome(8.0), rig.circle_dome(3.0), None), level,
+    )  # fmt: skip
 
 
-def _circle_peaks(stage: Coder[Any]) -> Three:
-    rig = CircleRig()
-    places = (
-        rig.x_on_rows(rig.circle_dome(8.0)),
-        rig.x_on_rows(rig.circle_dome(3.0)),
-        np.full((rig.stripes, rig.rows), np.nan),
-    )
-    one, other, nothing = ((rig.circle_peaks(x_px)[0], rig.circle_calibration()) for x_px in places)
-    return one, other, nothing
+_PATTERNS = {"dots": _dots, "grid": _grid, "circles": _circles}
 
 
-def _circles_moved(stage: Aligner[Any]) -> Three:
-    """Circles that lie 0.8 px beside where the calibration has them, those that do not, and none."""
-    rig = CircleRig()
-    made, at_rest = rig.circle_calibration(), rig.x_on_rows(level)
-    one, other, nothing = (
-        (rig.circle_peaks(x_px)[0], made, moved_circles)
-        for x_px in (at_rest + 0.8, at_rest, np.full_like(at_rest, np.nan))
-    )
-    return one, other, nothing
-
-
-def _circle_maps(stage: Triangulator[Any]) -> Three:
-    rig = CircleRig()
-    calibration, hill = calibration_for(stage, rig), rig.x_on_rows(rig.circle_dome(8.0))
-    one, other, nothing = (
-        (rig.circle_map(x_px), calibration)
-        for x_px in (hill, rig.x_on_rows(rig.circle_dome(3.0)), np.full_like(hill, np.nan))
-    )
-    return one, other, nothing
-
-
-def _circle_observations(stage: Calibrator[Any]) -> Three:
-    one, other = (calibration_set_for(stage, rig) for rig in (CircleRig(), CircleRig(pitch_mm=6.3)))
-    return (one,), (other,), (replace(one, observations=()),)
-
-
-_OF_PATTERN: dict[str, dict[str, Callable[[Any], Three]]] = {
-    "dots": {
-        "extractor": _dot_frames,
-        "aligner": _dots_moved,
-        "coder": _dot_peaks,
-        "triangulator": _dot_maps,
-        "calibrator": _dot_observations,
-    },
-    "grid": {
-        "extractor": _grid_frames,
-        "aligner": _grid_moved,
-        "coder": _grid_peaks,
-        "triangulator": _grid_maps,
-        "calibrator": _grid_observations,
-    },
-    "circles": {
-        "extractor": _circle_frames,
-        "aligner": _circles_moved,
-        "coder": _circle_peaks,
-        "triangulator": _circle_maps,
-        "calibrator": _circle_observations,
-    },
-}
-"""Of stages that are made for other light than lines, instead."""
+def _under(pattern: _Pattern, kind: str, stage: Any) -> Three:
+    """Give the inputs of a stage of one of the kinds that see the light."""
+    rig = pattern.rigs[0]
+    if kind == "calibrator":
+        one, other = (calibration_set_for(stage, each) for each in pattern.rigs)
+        return (one,), (other,), (replace(one, observations=()),)
+    if kind == "extractor":
+        dark = np.full((rig.rows, rig.columns), rig.background)
+        light = pattern.image(pattern.scenes[0]), pattern.image(pattern.bare), dark
+        seen, bare, nothing = ((frame_of(each),) for each in light)
+        return seen, bare, nothing
+    coder = kind == "coder"
+    calibration = pattern.calibration if coder else calibration_for(stage, rig)
+    show = pattern.peaks if coder else pattern.stripes
+    first, second, third = ((show(scene), calibration) for scene in pattern.scenes)
+    return first, second, third

@@ -12,7 +12,7 @@ from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.cones import touching_planes, turned_generators
 from roemetry.records.view import STEEP_MAX, View
-from roemetry.testing.scenes import SEED, LinearRig
+from roemetry.testing.scenes import SEED, LinearRig, moved_camera
 
 Surface = Callable[[Floats], Floats]
 """Heights (n,) at places (n, 2), mm."""
@@ -156,13 +156,6 @@ def level(xy_mm: Floats) -> Floats:
 
 
 def moved_circles(calibration: Calibration, alignment: Alignment) -> Calibration:
-    """Give a circle rig's calibration after a small motion of its camera; a tilt moves the image up."""
-    view = calibration.view
-    assert view is not None
-    pan_px, roll, zoom, tilt = alignment.motion
-    matrix, pose = view.camera_matrix.copy(), view.T_belt_camera.copy()
-    matrix[:2, 2] += pan_px, -tilt * matrix[0, 0]
-    matrix[:2, :2] *= 1.0 + zoom
-    turn = np.array([[np.cos(roll), np.sin(roll), 0.0], [-np.sin(roll), np.cos(roll), 0.0], [0.0, 0.0, 1.0]])
-    pose[:3, :3] = pose[:3, :3] @ turn
-    return replace(calibration, view=replace(view, camera_matrix=matrix, T_belt_camera=pose))
+    """Give a circle rig's calibration after a small motion of its camera."""
+    assert calibration.view is not None
+    return moved_camera(calibration, alignment, float(calibration.view.camera_matrix[0, 0]))

@@ -10,7 +10,7 @@ from roemetry.records import BELT, NOTHING, Dots, Peaks, Rays, StripeMap
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.light import at_height
-from roemetry.testing.scenes import SEED, LinearRig
+from roemetry.testing.scenes import SEED, LinearRig, moved_camera
 
 _TURN = np.radians(14.0)  # keeps the ways of neighbouring dots apart
 
@@ -122,19 +122,11 @@ class DotRig(LinearRig):
 
 
 def moved_dots(calibration: Calibration, alignment: Alignment) -> Calibration:
-    """Give a dot rig's calibration after a small motion of its camera; a tilt moves the image up."""
-    view = calibration.view
-    assert view is not None
-    pan_px, roll, zoom, tilt = alignment.motion
-    matrix, pose = view.camera_matrix.copy(), view.T_belt_camera.copy()
-    matrix[:2, 2] += pan_px, -tilt * _FOCAL_PX
-    matrix[:2, :2] *= 1.0 + zoom
-    turn = np.array([[np.cos(roll), np.sin(roll), 0.0], [-np.sin(roll), np.cos(roll), 0.0], [0.0, 0.0, 1.0]])
-    pose[:3, :3] = pose[:3, :3] @ turn
-    return replace(calibration, view=replace(view, camera_matrix=matrix, T_belt_camera=pose))
+    """Give a dot rig's calibration after a small motion of its camera."""
+    return moved_camera(calibration, alignment, _FOCAL_PX)
 
 
-_FOCAL_PX = 1000.0  # what a tilt moves the image by, px a radian
+_FOCAL_PX = 1000.0  # what a tilt moves the image by, px a radian: the rig's own camera is far away
 
 
 def exact_rays(lines: Floats, parameters: Floats) -> Rays:

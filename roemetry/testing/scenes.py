@@ -237,6 +237,19 @@ def moved_grid(calibration: Calibration, alignment: Alignment) -> Calibration:
     return replace(upright, across=across)
 
 
+def moved_camera(calibration: Calibration, alignment: Alignment, focal_px: float) -> Calibration:
+    """Give a calibration whose view's camera has moved a little; a tilt moves the image up by `focal_px`."""
+    view = calibration.view
+    assert view is not None
+    pan_px, roll, zoom, tilt = alignment.motion
+    matrix, pose = view.camera_matrix.copy(), view.T_belt_camera.copy()
+    matrix[:2, 2] += pan_px, -tilt * focal_px
+    matrix[:2, :2] *= 1.0 + zoom
+    turn = np.array([[np.cos(roll), np.sin(roll), 0.0], [-np.sin(roll), np.cos(roll), 0.0], [0.0, 0.0, 1.0]])
+    pose[:3, :3] = pose[:3, :3] @ turn
+    return replace(calibration, view=replace(view, camera_matrix=matrix, T_belt_camera=pose))
+
+
 def frame_of(light: Floats, *, bit_depth: int = 8, noise: float = 0.0) -> Frame:
     """Make a frame of (row, column) grey levels 0…255: noise added, scaled to the depth, rounded, clipped.
 

@@ -9,15 +9,15 @@ import pytest
 
 wheelset = pytest.importorskip("benchmarks.real_images.wheelset", reason="only in a checkout")
 
-from benchmarks import extract_real  # noqa: E402
-from benchmarks.real_images import boards, folder_of, prepared  # noqa: E402
+from benchmarks import real  # noqa: E402
+from benchmarks.real_images import folder_of, prepared  # noqa: E402
 
 
 def test_absent_images_are_told(monkeypatch, tmp_path, capsys) -> None:
     monkeypatch.setenv("ROEMETRY_REAL_DATA", str(tmp_path))
-    monkeypatch.setattr(sys, "argv", ["extract_real", "--methods", "gaussian"])
-    extract_real.main()
-    assert capsys.readouterr().err.count("ROEMETRY_REAL_DATA") == len(extract_real.PARTS) == 3
+    monkeypatch.setattr(sys, "argv", ["real", "--extractors", "gaussian"])
+    real.main()
+    assert capsys.readouterr().err.count("ROEMETRY_REAL_DATA") == len(real.SETS) + 1 == 7
     assert folder_of("weld_mit") is None
 
 
@@ -75,9 +75,3 @@ def test_turned_marks_lie_where_the_turned_image_has_them() -> None:
     pixels[int(mark.first) : int(mark.last) + 1, 799 - mark.index] = 255
     turned = prepared(pixels, turn_deg=90).pixels
     assert (turned[mark.index, int(mark.first) : int(mark.last) + 1] == 255).all()
-
-
-def test_roughness_is_the_scatter_of_a_row(rng) -> None:
-    row = np.arange(4000)
-    x_px = 100.0 + 0.3 * row + rng.normal(0.0, 0.2, row.size)
-    assert boards.roughness(row, x_px) == pytest.approx(0.2, rel=0.1)

@@ -17,12 +17,12 @@ import pytest
 from rich.console import Console
 
 from roemetry import Recipe
-from roemetry.cli.main import main
 from roemetry.cli.run import problems_of, table_of
 from roemetry.config.overrides import Implied
 from roemetry.errors import ConfigurationError
 from roemetry.records import Estimate, Measurement, Reason, Weight
 from roemetry.testing.runs import measured
+from tests.command import exit_code
 
 Line = Callable[..., Path]
 
@@ -38,11 +38,8 @@ def roemetry(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     """Run the command line in this process."""
 
     def run(*words: object) -> Done:
-        monkeypatch.setattr(sys, "argv", ["roemetry", *map(str, words)])
         capsys.readouterr()
-        with pytest.raises(SystemExit) as caught:
-            main()
-        return Done(int(caught.value.code or 0), *capsys.readouterr())
+        return Done(exit_code(monkeypatch, *words), *capsys.readouterr())
 
     return run
 

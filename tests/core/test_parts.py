@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import fsspec
 import pytest
 
-from roemetry.cli.main import main
 from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, OutputError
 from roemetry.io.remote import Url, folder_for
 from roemetry.run import parts
 from roemetry.run.batch import derive, run_recipe
 from roemetry.run.record import read_record, recipe_of, rows_of
+from tests.command import exit_code
 
 
 class StoppedError(Exception):
@@ -174,12 +174,7 @@ def test_a_run_that_never_begins_leaves_nothing(recipe, bucket, tmp_path, where)
 
 
 def test_the_verbs_take_a_url(line, bucket, monkeypatch, capsys) -> None:
-    def roemetry(*words: object) -> int:
-        monkeypatch.setattr(sys, "argv", ["roemetry", *map(str, words)])
-        with pytest.raises(SystemExit) as caught:
-            main()
-        return int(caught.value.code or 0)
-
+    roemetry = partial(exit_code, monkeypatch)
     assert roemetry("run", line(3), "--set", "sinks=[csv]", "--out", "memory://plant/monday") == 0
     assert (
         "  memory://plant/monday/index.json\n  memory://plant/monday/results.csv" in capsys.readouterr().out

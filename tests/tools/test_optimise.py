@@ -5,12 +5,11 @@ from __future__ import annotations
 import csv
 import json
 import math
-import sys
 from collections.abc import Callable
+from functools import partial
 
 import pytest
 
-from roemetry.cli.main import main
 from roemetry.config.recipe import Recipe
 from roemetry.errors import ConfigurationError, DataError
 from roemetry.records import Estimate, Measurement, ProductTruth, Shares, Volume
@@ -19,6 +18,7 @@ from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.score import Pair, Scored
 from roemetry_tools.compare.variants import Space, Variant
 from roemetry_tools.optimise.search import Search, Trial, Trueness, field_of, finalists, front_of
+from tests.command import exit_code
 from tests.tools.compare.conftest import dataset
 
 __all__ = ["dataset"]
@@ -28,13 +28,7 @@ DENSITY = "stages.weigher.options.density_g_per_cm3"
 
 @pytest.fixture
 def optimise(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
-    def run(*words: object) -> int:
-        monkeypatch.setattr(sys, "argv", ["roemetry", "optimise", *map(str, words)])
-        with pytest.raises(SystemExit) as caught:
-            main()
-        return int(caught.value.code or 0)
-
-    return run
+    return partial(exit_code, monkeypatch, "optimise")
 
 
 def test_the_density_that_the_truth_was_made_with_is_found(dataset, tmp_path, optimise, capsys) -> None:

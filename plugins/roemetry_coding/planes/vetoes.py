@@ -438,7 +438,7 @@ def _is_small(left: Floats) -> bool:
 
 _PATTERN_REACH = 3
 """Stripes on and back that are tried: a body four spacings high stands beyond most rigs' range."""
-_PATTERN_ROWS_MIN = 10
+_PATTERN_ROWS_MIN = 10  # from which the median of a stripe's second differences is taken
 _PATTERN_STRIPES_MIN = 4
 """Stripes with second differences: fewer fit by chance."""
 _PATTERN_SHARE = 1.0 / 3.0

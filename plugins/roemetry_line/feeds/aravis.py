@@ -26,10 +26,10 @@ from roemetry.stages import Capabilities, Feed
 from roemetry_line.feeds.camera import HINT, CameraOptions, FrameNumbers, no_node, refused
 
 LIBRARY = "libaravis-0.8.so.0"
-_TICK_US = 500_000
+_TICK_US = 500_000  # that a frame is waited for before the feed says that none has come
 _BITS = {0x01080001: 8, 0x01100003: 10, 0x01100005: 12, 0x01100025: 14, 0x01100007: 16}
 """Bits of grey formats by their code in the Pixel Format Naming Convention: Mono8, 10, 12, 14, 16."""
-_RGB8, _BGR8 = 0x02180014, 0x02180015
+_RGB8, _BGR8 = 0x02180014, 0x02180015  # of colours, by the same convention
 _STATUS = {
     2: "it did not arrive in time",
     3: "packets are missing",
@@ -37,7 +37,7 @@ _STATUS = {
     5: "it is larger than its buffer",
     7: "it was broken off",
 }
-_SUCCESS, _CLEARED = 0, 1
+_SUCCESS, _CLEARED = 0, 1  # of ArvBufferStatus
 
 
 class AravisOptions(CameraOptions):

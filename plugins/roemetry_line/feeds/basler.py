@@ -25,7 +25,7 @@ from roemetry.stages import Capabilities, Feed
 from roemetry_line.feeds.camera import HINT, CameraOptions, FrameNumbers, first_line, no_node, refused
 
 _BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
-_TICK_MS = 500
+_TICK_MS = 500  # that a frame is waited for before the feed says that none has come
 
 
 class BaslerOptions(CameraOptions):

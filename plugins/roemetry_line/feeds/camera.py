@@ -15,7 +15,7 @@ Counting = Literal["64-bit", "16-bit"]
 """``64-bit``: whole numbers that never wrap in practice (GigE Vision 2, USB3 Vision, GenTL). ``16-bit``: 1 to
 65535, then 1 again: GigE Vision 1.x, which leaves 0 out."""
 
-_GVSP_RANGE = 65535
+_GVSP_RANGE = 65535  # numbers of a 16-bit count, which has no 0
 _BACK_MAX = 1000
 """A 16-bit number that is so little behind the last is a repeat, not 64,535 lost frames."""
 

@@ -16,7 +16,7 @@ from roemetry.stages import Capabilities, Feed, StageOptions
 from roemetry_line.feeds.image import decoded
 
 _SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm", ".ppm")
-_TICK_S = 0.5
+_TICK_S = 0.5  # after which the feed says that no file has come
 
 
 class FolderWatchOptions(StageOptions):

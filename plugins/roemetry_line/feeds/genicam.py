@@ -21,7 +21,7 @@ from roemetry.records.live import LiveFrame
 from roemetry.stages import Capabilities, Feed
 from roemetry_line.feeds.camera import HINT, CameraOptions, FrameNumbers, no_node, refused
 
-_TICK_S = 0.5
+_TICK_S = 0.5  # that a frame is waited for before the feed says that none has come
 _GREY_BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono14": 14, "Mono16": 16}
 _COLOURS = {"RGB8": (0, 1, 2), "BGR8": (2, 1, 0), "RGBa8": (0, 1, 2), "BGRa8": (2, 1, 0)}
 """By pixel format, where red, green and blue stand."""

@@ -50,16 +50,17 @@ STATUS = {
     "calibration-check": 7,
 }
 """What stands in a result's second register."""
-_RESULTS = 8
-_SIZE = 16
-_FIRST = 16
-_TAKEN = 2
+# registers: docs/reference/plugins/modbus.md
+_RESULTS = 8  # that are kept, the newest first
+_SIZE = 16  # registers of a result
+_FIRST = 16  # register of the newest result
+_TAKEN = 2  # register that a client writes
 _SHIFT = _FIRST + _RESULTS * _SIZE
-_SHIFT_SIZE = 4
+_SHIFT_SIZE = 4  # registers of a product under way to the gate
 _REGISTERS = _SHIFT + 2 + _RESULTS * _SHIFT_SIZE
-_BEAT_S = 0.1
-_CLIENTS_MAX = 8
-_ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_VALUE = 1, 2, 3
+_BEAT_S = 0.1  # after which the heartbeat counts on
+_CLIENTS_MAX = 8  # at once: each has a thread
+_ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_VALUE = 1, 2, 3  # exception codes of Modbus
 
 
 class ModbusOptions(StageOptions):

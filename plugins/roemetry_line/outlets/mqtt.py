@@ -17,8 +17,8 @@ from roemetry.errors import OutputError
 from roemetry.records.live import LineControl, LineRow
 from roemetry.stages import Capabilities, Outlet, StageOptions
 
-_LOOK_S = 0.25
-_BEHIND_S = 2.0
+_LOOK_S = 0.25  # between two looks at who is behind
+_BEHIND_S = 2.0  # a consumer that has not confirmed for longer is behind
 _KEPT = 10_000
 """Products that are remembered while they are not confirmed: a consumer is behind long before."""
 

@@ -37,7 +37,7 @@ _RESULT_READY = 1024
 _START_S, _TELL_S = 120.0, 10.0
 """So long the server may take to start, and to take rows, s. It starts in 2 s of a processor's time: what
 else is to be done on the machine can make half a minute of it."""
-_FOLLOW_S = 0.5
+_FOLLOW_S = 0.5  # between two looks at the line's state and at its clients
 _STUCK_S = 1.5
 """So long a client may leave events of its subscription waiting, s."""
 _STATES = {

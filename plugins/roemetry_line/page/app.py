@@ -38,7 +38,7 @@ from roemetry_line.station import LATENCY_MS
 
 _SILENT_S = 3.0
 """A process that has said nothing for so long is shown as silent."""
-_REJECTS = 12
+_REJECTS = 12  # newest that the page shows
 _FULL_GB = 0.02
 
 
@@ -200,11 +200,11 @@ def _escaped(label: str) -> str:
 
 _STATIC = Path(__file__).parent / "static"
 _COOKIE = "roemetry_session"
-_BODY_MAX, _BODY_S = 10_000, 5.0
+_BODY_MAX, _BODY_S = 10_000, 5.0  # bytes of a request, and how long it may take to come, s
 _EVERY_S = 0.5
 _BEAT_S = 1.0  # as the other processes: what is written once a second is enough to see a death
 """How often what is shown is read anew, s."""
-_STREAMS_MAX = 50
+_STREAMS_MAX = 50  # pages that are kept up to date at once
 _TREND_HOURS_MAX = 24.0 * 31
 
 _HEADERS = {
@@ -214,8 +214,8 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
 }
-_MISFIT = 400
-_UNKNOWN = 404
+_MISFIT = 400  # HTTP: bad request
+_UNKNOWN = 404  # HTTP: not found
 _WORD = re.compile(r"[a-zA-Z0-9_-]+")
 
 

@@ -26,7 +26,7 @@ FILE = "users.yaml"
 
 _COST, _BLOCK, _PARALLEL = 2**14, 8, 1
 """scrypt: 16 MB and some 50 ms a password (RFC 7914, the cost for logins)."""
-_SESSION_S = 12 * 3600.0
+_SESSION_S = 12 * 3600.0  # longer than a shift
 _TRIES, _LOCKED_S = 5, 60.0
 """So many wrong passwords in a row, and a name is locked for so long, s."""
 

@@ -18,7 +18,7 @@ from roemetry_scan.formats.points import Measured, flat, from_flat
 
 _SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of the point formats 0 to 10, at least."""
-_STEP_MM = 1e-4
+_STEP_MM = 1e-4  # that whole numbers of the file count
 _EXTRA = ("slice", "point")
 _SYSTEM = b"roemetry slices"
 _POINT = np.dtype(

@@ -11,7 +11,7 @@ from roemetry.errors import DataError
 from roemetry.records import Profiles
 from roemetry.records.arrays import Flags, Floats, Integers
 
-_CELLS_MAX = 200_000_000
+_CELLS_MAX = 200_000_000  # of a grid that a file describes: 1.6 GB of heights
 _METRES = 1.0
 """A belt that is not even 1 mm long was measured in metres."""
 _METRES_TO_MM = 5.0

@@ -16,9 +16,9 @@ from roemetry.io.files import write_bytes
 from roemetry_scan.formats.points import Measured, sliced
 
 _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
-_MM = 1000.0
+_MM = 1000.0  # in a metre, the unit of the file
 _NAMESPACE = "http://www.opengps.eu/2008/ISO5436_2"
-_BYTES_MAX = 2_000_000_000
+_BYTES_MAX = 2_000_000_000  # of an unpacked member: a small archive may hold any size
 
 
 def read(path: Path) -> Measured:

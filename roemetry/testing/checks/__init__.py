@@ -8,6 +8,7 @@ from typing import Any
 
 from roemetry.stages.hookspecs import KINDS
 from roemetry.testing.checks import (
+    aligners,
     any_stage,
     circles,
     classes,
@@ -23,7 +24,7 @@ from roemetry.testing.checks import (
 
 Check = Callable[[Any], None]
 
-_MODULES = (extractor, stripes, points, volume, weigher, classes, files)
+_MODULES = (extractor, aligners, stripes, points, volume, weigher, classes, files)
 _CALLED = {"estimator": "volume"}
 _CONNECTED = ("feed", "outlet")
 """Kinds that talk to the world: no call of theirs is like another."""
@@ -37,6 +38,10 @@ def _kind_of(check: Check) -> str:
     return _CALLED.get(called, called)
 
 
+def _is_check(found: Any, kind: str) -> bool:
+    return getattr(found, "__name__", "").startswith("check_") and _kind_of(found) == kind
+
+
 _CHECKS: tuple[Check, ...] = tuple(
     check for module in _MODULES for name, check in vars(module).items() if name.startswith("check_")
 )
@@ -44,18 +49,20 @@ ANY: tuple[Check, ...] = any_stage.CHECKS
 OF_KIND: Mapping[str, tuple[Check, ...]] = {
     kind: found for kind in KINDS if (found := tuple(check for check in _CHECKS if _kind_of(check) == kind))
 }
+_OF_ANY_LIGHT = (
+    extractor.check_dark_gives_nothing,
+    extractor.check_a_colour_frame_is_refused,
+    extractor.check_the_smallest_frames_are_taken,
+)
+"""What extractors of every pattern keep."""
 OF_PATTERN: Mapping[str, Mapping[str, tuple[Check, ...]]] = {
     pattern: {
-        kind: tuple(
-            check
-            for name, check in vars(module).items()
-            if name.startswith("check_") and _kind_of(check) == kind
-        )
-        for kind in ("extractor", "aligner", "coder", "calibrator", "triangulator")
+        kind: tuple(check for check in (*vars(module).values(), *_OF_ANY_LIGHT) if _is_check(check, kind))
+        for kind in ("extractor", "coder", "calibrator", "triangulator")
     }
     for pattern, module in (("dots", dots), ("grid", grids), ("circles", circles))
 }
-"""Of stages that are made for other light than lines, instead."""
+"""Of stages that are made for other light than lines, instead; aligners of all light keep the same."""
 
 
 def checks_of(kind: str, pattern: str = "lines") -> tuple[Check, ...]:
@@ -68,7 +75,7 @@ def checks_of(kind: str, pattern: str = "lines") -> tuple[Check, ...]:
     """
     whole = kind in OF_KIND and kind not in _CONNECTED and (kind, pattern) != _LONG
     every = ANY if whole else any_stage.OF_OPTIONS
-    return every + OF_PATTERN.get(pattern, OF_KIND).get(kind, ())
+    return every + OF_PATTERN.get(pattern, {}).get(kind, OF_KIND.get(kind, ()))
 
 
 def name_of(check: Check) -> str:

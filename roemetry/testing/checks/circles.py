@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.errors import CalibrationError, DataError, StageError
-from roemetry.records import Frame
+from roemetry.errors import CalibrationError, StageError
 from roemetry.records.arrays import Floats
 from roemetry.records.calibration import Alignment
 from roemetry.records.view import STEEP_MAX
-from roemetry.stages import Aligner, Calibrator, Coder, Extractor, Triangulator
+from roemetry.stages import Calibrator, Coder, Extractor, Triangulator
 from roemetry.testing.cases import calibration_for, calibration_set_for
 from roemetry.testing.checks.points import require_it_survives_its_file
-from roemetry.testing.circles import CircleRig, level, moved_circles
+from roemetry.testing.circles import CircleRig, level
 from roemetry.testing.scenes import frame_of
 from roemetry.testing.verdict import refused, require
 
@@ -23,8 +22,6 @@ _FOUND_MIN = 0.95
 """Share of the rows of halves that are found: ends may be left out, and so may what bends within a width."""
 _LABELLED_MIN = 0.99
 """Share of drawn places that a coder labels."""
-_CORRECTED_PX = 0.15
-"""Circles that scatter by 0.05 px: where they end, their rows tell less than in the middle."""
 _SHIFT_PX = 0.8  # what an aligner corrects, not what it refuses
 
 
@@ -40,61 +37,6 @@ def check_circles_are_right(extractor: Extractor[Any]) -> None:
     require(bool((near <= limit).all()), f"errors up to {near.max():.3g} px, {limit:g} px are declared")
     share = near.size / np.isfinite(rig.x_on_rows(surface)).sum()
     require(share >= _FOUND_MIN, f"{share:.1%} of the places are found, {_FOUND_MIN:.0%} expected")
-
-
-def check_dark_gives_no_circle(extractor: Extractor[Any]) -> None:
-    """An image without light gives no circle, with the sensor's noise on it."""
-    rig = CircleRig()
-    found = len(extractor.extract(frame_of(np.full((rig.rows, rig.columns), 10.0), noise=2.0)))
-    require(found == 0, f"{found} places of circles in the dark")
-
-
-def check_a_colour_frame_of_circles_is_refused(extractor: Extractor[Any]) -> None:
-    """A frame with colours is refused by a `DataError`, and the smallest frames give nothing."""
-    with refused("a frame of three channels", DataError):
-        extractor.extract(Frame(np.zeros((20, 30, 3), np.uint8)))
-    for shape in ((1, 1), (1, 40), (3, 3)):
-        require(len(extractor.extract(Frame(np.full(shape, 200, np.uint8)))) == 0, f"circles in {shape} px")
-
-
-def check_a_camera_over_circles_at_rest_is_left_alone(aligner: Aligner[Any]) -> None:
-    """Where the belt's circles lie as calibrated, under a product, there is no correction and no reason."""
-    rig = CircleRig()
-    peaks = rig.circle_peaks(rig.x_on_rows(rig.circle_dome(8.0)))[0]
-    found = aligner.align(peaks, rig.circle_calibration(), moved_circles)
-    require(not found.moved, f"a motion of {found.motion} is corrected where nothing has moved")
-    require(not found.reasons, f"it says {[reason.code for reason in found.reasons]} of a belt at rest")
-
-
-def check_a_moved_camera_over_circles_is_corrected(aligner: Aligner[Any]) -> None:
-    """A shift, a rotation and a zoom of 1 to 2 px are corrected to within 0.15 px, with a reason."""
-    rig = CircleRig()
-    rows, there = np.arange(rig.rows, dtype=np.float64), np.isfinite(rig.x_on_rows(level))
-    for motion in ((0.8, 0.0, 0.0, 0.0), (0.0, 9e-3, 0.0, 0.0), (0.0, 0.0, 9e-3, 0.0)):
-        moved = moved_circles(rig.circle_calibration(), Alignment(np.array(motion), np.zeros((4, 4))))
-        places = np.where(there, moved.rest_line_px(rows), np.nan)
-        found = aligner.align(rig.circle_peaks(places)[0], rig.circle_calibration(), moved_circles)
-        require(found.moved and bool(found.reasons), f"{motion} is not seen, or corrected in silence")
-        corrected = moved_circles(rig.circle_calibration(), found).rest_line_px(rows)
-        off = float(np.abs(corrected - moved.rest_line_px(rows))[there].max())
-        require(off <= _CORRECTED_PX, f"after {motion} the corrected circles are up to {off:.2g} px off")
-
-
-def check_circles_far_off_are_refused(aligner: Aligner[Any]) -> None:
-    """Circles shifted by 5 px are refused by a `StageError`."""
-    rig = CircleRig()
-    peaks = rig.circle_peaks(rig.x_on_rows(level) + 5.0)[0]
-    with refused("a shift of 5 px", StageError):
-        aligner.align(peaks, rig.circle_calibration(), moved_circles)
-
-
-def check_a_belt_without_circles_is_told(aligner: Aligner[Any]) -> None:
-    """Where no circle is seen there is no correction, and a reason says that nothing was compared."""
-    rig = CircleRig()
-    nothing = rig.circle_peaks(np.full((rig.stripes, rig.rows), np.nan))[0]
-    found = aligner.align(nothing, rig.circle_calibration(), moved_circles)
-    require(not found.moved, "it corrects by a belt that is not seen")
-    require(bool(found.reasons), "it says nothing of a belt that is not seen")
 
 
 def check_a_dome_of_circles_is_coded(coder: Coder[Any]) -> None:

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.errors import CalibrationError, DataError, StageError
-from roemetry.records import SATURATED, WIDE, Frame, Peaks, StripeMap
+from roemetry.errors import CalibrationError, StageError
+from roemetry.records import SATURATED, WIDE, Peaks, StripeMap
 from roemetry.records.arrays import Flags, Floats
 from roemetry.records.calibration import Alignment
 from roemetry.records.light import at_height
-from roemetry.stages import Aligner, Calibrator, Coder, Extractor, Triangulator
+from roemetry.stages import Calibrator, Coder, Extractor, Triangulator
 from roemetry.testing.cases import calibration_for, calibration_set_for
 from roemetry.testing.checks.points import require_it_survives_its_file
-from roemetry.testing.dots import DotRig, moved_dots
+from roemetry.testing.dots import DotRig
 from roemetry.testing.scenes import SEED, frame_of
 from roemetry.testing.verdict import refused, require
 
@@ -23,8 +23,6 @@ _NEAR_PX = 3.0
 """Down the rows, within which what is found belongs to a pair of merged dots."""
 _LABELLED_MIN = 0.99
 """Share of drawn dots, sound and seen, that a coder labels."""
-_CORRECTED_PX = 0.1
-"""Dots that scatter by 0.05 px, a hundred of them on the belt, are known to a tenth of this."""
 _SHIFT_PX = 0.8  # what an aligner corrects, not what it refuses
 
 
@@ -50,13 +48,6 @@ def check_brightness_of_dots_does_not_matter(extractor: Extractor[Any]) -> None:
         require(bool(sound.any()), "no dot is without a flag")
         off = float(_off_px(found, np.column_stack([one.x_px, _y(one)]))[sound].max())
         require(off < 0.02, f"dots move by up to {off:.3g} px")
-
-
-def check_dark_gives_no_dot(extractor: Extractor[Any]) -> None:
-    """An image without light gives no dot, with the sensor's noise on it."""
-    rig = DotRig()
-    found = len(extractor.extract(frame_of(np.full((rig.rows, rig.columns), 10.0), noise=2.0)))
-    require(found == 0, f"{found} dots in the dark")
 
 
 def check_saturated_dots_are_flagged(extractor: Extractor[Any]) -> None:
@@ -97,66 +88,6 @@ def check_covariances_of_dots_are_positive(extractor: Extractor[Any]) -> None:
     covariance = peaks.dots.covariance_px2
     known = covariance[np.isfinite(covariance).all(axis=(1, 2))]
     require(bool((np.linalg.eigvalsh(known) > 0.0).all()), "a covariance is not positive definite")
-
-
-def check_a_colour_frame_of_dots_is_refused(extractor: Extractor[Any]) -> None:
-    """A frame with colours is refused by a `DataError`, and the smallest frames give nothing."""
-    with refused("a frame of three channels", DataError):
-        extractor.extract(Frame(np.zeros((20, 30, 3), np.uint8)))
-    for shape in ((1, 1), (1, 40), (3, 3)):
-        require(len(extractor.extract(Frame(np.full(shape, 200, np.uint8)))) == 0, f"dots in {shape} pixels")
-
-
-def check_a_camera_over_dots_at_rest_is_left_alone(aligner: Aligner[Any]) -> None:
-    """Where the belt's dots lie as calibrated, under a product, there is no correction and no reason."""
-    rig = DotRig()
-    found = aligner.align(rig.dots(rig.places_px(_product(rig))), rig.dot_calibration(), moved_dots)
-    require(not found.moved, f"a motion of {found.motion} is corrected where nothing has moved")
-    require(not found.reasons, f"it says {[reason.code for reason in found.reasons]} of a belt at rest")
-
-
-def check_a_moved_camera_over_dots_is_corrected(aligner: Aligner[Any]) -> None:
-    """Shifts, a rotation and a zoom of about 0.8 px are corrected to within 0.1 px, with a reason."""
-    rig = DotRig()
-    for motion in ((0.8, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 8e-4), (0.0, 9e-3, 0.0, 0.0), (0.0, 0.0, 9e-3, 0.0)):
-        moved = moved_dots(rig.dot_calibration(), Alignment(np.array(motion), np.zeros((4, 4))))
-        assert moved.view is not None
-        places = moved.view.project(rig.points_mm(_product(rig)))
-        found = aligner.align(rig.dots(places), rig.dot_calibration(), moved_dots)
-        require(found.moved and bool(found.reasons), f"{motion} is not seen, or corrected in silence")
-        corrected = moved_dots(rig.dot_calibration(), found).view
-        assert corrected is not None
-        belt = rig.points_mm(rig.level())
-        off = float(np.abs(corrected.project(belt) - moved.view.project(belt)).max())
-        require(off <= _CORRECTED_PX, f"after {motion} the corrected dots are up to {off:.2g} px off")
-
-
-def check_dots_far_off_are_refused(aligner: Aligner[Any]) -> None:
-    """Dots shifted by 5 px and turned by 8° are refused by a `StageError`, and so are peaks of lines."""
-    rig = DotRig()
-    for motion in ((5.0, 0.0, 0.0, 0.0), (0.0, np.radians(8.0), 0.0, 0.0)):
-        moved = moved_dots(rig.dot_calibration(), Alignment(np.array(motion), np.zeros((4, 4))))
-        assert moved.view is not None
-        with refused(f"a motion of {motion}", StageError):
-            places = moved.view.project(rig.points_mm(rig.level()))
-            aligner.align(rig.dots(places), rig.dot_calibration(), moved_dots)
-    peaks = rig.dots(rig.places_px(rig.level()))
-    with refused("peaks of lines", StageError):
-        aligner.align(replace(peaks, dots=None), rig.dot_calibration(), moved_dots)
-
-
-def check_a_belt_without_dots_is_told(aligner: Aligner[Any]) -> None:
-    """Where no dot is seen there is no correction, and a reason says that nothing was compared."""
-    rig = DotRig()
-    nothing = rig.dots(np.full((1, 2), np.nan))
-    found = aligner.align(nothing, rig.dot_calibration(), moved_dots)
-    require(not found.moved, "it corrects by a belt that is not seen")
-    require(bool(found.reasons), "it says nothing of a belt that is not seen")
-
-
-def _product(rig: DotRig) -> Floats:
-    """(stripe, line) heights of a dome over the pattern's middle."""
-    return np.maximum(rig.hill(16.0) - 8.0, 0.0)
 
 
 def check_a_hill_of_dots_is_coded(coder: Coder[Any]) -> None:

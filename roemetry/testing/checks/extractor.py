@@ -13,8 +13,8 @@ from roemetry.stages import Extractor
 from roemetry.testing.scenes import LinearRig, frame_of, in_steps
 from roemetry.testing.verdict import difference, refused, require
 
-_NEAR_PX = 5.0
-_EXACT_PX = 1e-6
+_NEAR_PX = 5.0  # of a true centre: a peak farther off is not that stripe's
+_EXACT_PX = 1e-6  # rounding
 _ROWS_LEFT_OUT = 2
 """At the image's top and bottom an extractor need not look."""
 _SHIFT_PX = 3  # whole pixels, so that the image itself is the same
@@ -89,6 +89,12 @@ def check_dark_rows_give_nothing(extractor: Extractor[Any]) -> None:
     peaks = extractor.extract(frame_of(rig.light(x_px), noise=2.0))
     found = int(peaks.row_start[dark.stop] - peaks.row_start[dark.start])
     require(found == 0, f"{found} peaks on {dark.stop - dark.start} rows without light")
+
+
+def check_dark_gives_nothing(extractor: Extractor[Any]) -> None:
+    """An image without light gives no peak of any family, with the sensor's noise on it."""
+    found = _count(extractor.extract(frame_of(np.full((200, 320), 10.0), noise=2.0)))
+    require(found == 0, f"{found} peaks in the dark")
 
 
 def check_saturated_stripes_are_found(extractor: Extractor[Any]) -> None:
@@ -185,7 +191,12 @@ def check_the_smallest_frames_are_taken(extractor: Extractor[Any]) -> None:
             peaks = extractor.extract(frame)
         except RoemetryError:
             continue
-        require(len(peaks) == 0, f"{len(peaks)} peaks in an even frame of {shape[0]} × {shape[1]} pixels")
+        found = _count(peaks)
+        require(found == 0, f"{found} peaks in an even frame of {shape[0]} × {shape[1]} pixels")
+
+
+def _count(peaks: Peaks) -> int:
+    return len(peaks) + (0 if peaks.across is None else len(peaks.across))
 
 
 def _errors_px(peaks: Peaks, x_px: Floats) -> Floats:

@@ -7,20 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from roemetry.errors import CalibrationError, DataError, StageError
-from roemetry.records import Frame, Peaks
-from roemetry.records.arrays import Floats
-from roemetry.records.calibration import Alignment, Calibration
-from roemetry.stages import Aligner, Calibrator, Coder, Extractor, Triangulator
+from roemetry.errors import CalibrationError, StageError
+from roemetry.records import Peaks
+from roemetry.records.calibration import Alignment
+from roemetry.stages import Calibrator, Coder, Extractor, Triangulator
 from roemetry.testing.cases import calibration_for, calibration_set_for
 from roemetry.testing.checks.points import require_it_survives_its_file
-from roemetry.testing.scenes import GridRig, frame_of, moved_grid
+from roemetry.testing.scenes import GridRig, frame_of
 from roemetry.testing.verdict import refused, require
 
 _FOUND_MIN = 0.99
 """Share of the places where lines cross rows that is found, and labelled."""
-_CORRECTED_PX = 0.1
-"""Lines whose peaks scatter by 0.05 px, over hundreds of rows, are known to a tenth of this."""
 _SHIFT_PX = 0.8  # what an aligner corrects, not what it refuses
 
 
@@ -47,83 +44,6 @@ def check_white_crossings_give_no_peak(extractor: Extractor[Any]) -> None:
         off = float(np.abs(family.x_px(height)[:, found.row] - found.x_px).min(axis=0).max(initial=0.0))
         limit = extractor.capabilities.saturated_tolerance_px
         require(off <= limit, f"errors up to {off:.3g} px, {limit:g} px are declared")
-
-
-def check_dark_gives_no_line(extractor: Extractor[Any]) -> None:
-    """An image without light gives no peak of either family, with the sensor's noise on it."""
-    peaks = extractor.extract(frame_of(np.full((120, 160), 10.0), noise=2.0))
-    count = sum(len(found) for found in _families(peaks))
-    require(count == 0, f"{count} peaks in the dark")
-
-
-def check_a_colour_frame_of_a_grid_is_refused(extractor: Extractor[Any]) -> None:
-    """A frame with colours is refused by a `DataError`, and the smallest frames give nothing."""
-    with refused("a frame with colours", DataError):
-        extractor.extract(Frame(np.zeros((60, 80, 3), np.uint8)))
-    for shape in ((1, 1), (2, 9)):
-        peaks = extractor.extract(Frame(np.zeros(shape, np.uint8)))
-        require(sum(len(found) for found in _families(peaks)) == 0, f"peaks in a dark frame of {shape}")
-
-
-def check_a_camera_over_a_grid_at_rest_is_left_alone(aligner: Aligner[Any]) -> None:
-    """Where both families lie as calibrated, under a product, there is no correction and no reason."""
-    rig = GridRig()
-    found = aligner.align(rig.grid_peaks(_product(rig)), rig.grid_calibration(), moved_grid)
-    require(not found.moved, f"a motion of {found.motion} is corrected where nothing has moved")
-    require(not found.reasons, f"it says {[reason.code for reason in found.reasons]} of a belt at rest")
-
-
-def check_a_moved_camera_over_a_grid_is_corrected(aligner: Aligner[Any]) -> None:
-    """Shifts, a rotation and a zoom of about 0.8 px are corrected to within 0.1 px, with a reason."""
-    rig = GridRig()
-    made = rig.grid_calibration()
-    for motion in ((0.8, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 8e-4), (0.0, 7e-3, 0.0, 0.0), (0.0, 0.0, 7e-3, 0.0)):
-        moved = moved_grid(made, Alignment(np.array(motion), np.zeros((4, 4))))
-        found = aligner.align(_seen_after(rig, moved), made, moved_grid)
-        require(found.moved and bool(found.reasons), f"{motion} is not seen, or corrected in silence")
-        corrected = moved_grid(made, found)
-        for one, other in ((corrected, moved), (corrected.across, moved.across)):
-            assert one is not None and other is not None
-            rows = np.arange(one.image_size[0], dtype=np.float64)
-            off = float(np.abs(one.rest_line_px(rows) - other.rest_line_px(rows)).max())
-            require(off <= _CORRECTED_PX, f"after {motion} the corrected lines are up to {off:.2g} px off")
-
-
-def check_a_grid_far_off_is_refused(aligner: Aligner[Any]) -> None:
-    """A grid shifted by 5 px, or turned by 8°, and peaks of one family are refused by a `StageError`."""
-    rig = GridRig()
-    made = rig.grid_calibration()
-    for motion in ((5.0, 0.0, 0.0, 0.0), (0.0, np.radians(8.0), 0.0, 0.0)):
-        moved = moved_grid(made, Alignment(np.array(motion), np.zeros((4, 4))))
-        with refused(f"a motion of {motion}", StageError):
-            aligner.align(_seen_after(rig, moved), made, moved_grid)
-    with refused("peaks of one family", StageError):
-        aligner.align(replace(rig.grid_peaks(rig.hill()), across=None), made, moved_grid)
-
-
-def check_a_belt_without_a_grid_is_told(aligner: Aligner[Any]) -> None:
-    """Where no line is seen there is no correction, and a reason says that nothing was compared."""
-    rig = GridRig()
-    upright, across = (np.full_like(height, np.nan) for height in rig.hill())
-    found = aligner.align(rig.grid_peaks((upright, across)), rig.grid_calibration(), moved_grid)
-    require(not found.moved, "it corrects by a belt that is not seen")
-    require(bool(found.reasons), "it says nothing of a belt that is not seen")
-
-
-def _product(rig: GridRig) -> tuple[Floats, Floats]:
-    """Give heights of both families of a hill that stands on the belt with an edge."""
-    upright, across = (np.where(height > 2.0, height, 0.0) for height in rig.hill())
-    return upright, across
-
-
-def _seen_after(rig: GridRig, moved: Calibration) -> Peaks:
-    """Give peaks of the product, seen by a camera that has moved since the rig's calibration."""
-    found = []
-    for family, made, height in zip((rig, rig.across), (moved, moved.across), _product(rig), strict=True):
-        assert made is not None
-        rest = made.rest_line_px(np.arange(family.rows, dtype=np.float64))
-        found.append(family.peaks(rest + family.px_per_mm * height, scatter_px=0.05).peaks)
-    return replace(found[0], across=found[1])
 
 
 def check_a_hill_of_a_grid_is_coded(coder: Coder[Any]) -> None:

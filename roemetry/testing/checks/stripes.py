@@ -13,13 +13,12 @@ import numpy as np
 from roemetry.errors import RoemetryError, StageError
 from roemetry.records import AMBIGUOUS, BELT, NOTHING, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry.records.calibration import Alignment
-from roemetry.stages import Aligner, Coder, Outliner, Smoother
+from roemetry.stages import Coder, Outliner, Smoother
 from roemetry.testing.cases import cases_for
-from roemetry.testing.scenes import SEED, LinearRig, moved_rig, wrong_labels
+from roemetry.testing.scenes import SEED, LinearRig, wrong_labels
 from roemetry.testing.verdict import refused, require
 
-_SCATTER_PX = 0.1
+_SCATTER_PX = 0.1  # of the peaks that coders are given
 _END_ROWS = 2
 _LABELLED_MIN = 0.99
 """Share of the points that must be labelled where nothing makes it hard."""
@@ -322,72 +321,3 @@ def check_contours_lie_in_the_image(outliner: Outliner[Any]) -> None:
         require(outline.xy_px.shape[0] >= 3, f"a contour of {outline.xy_px.shape[0]} points")
         inside = (outline.xy_px >= -0.5) & (outline.xy_px <= np.array([columns, rows]) - 0.5)
         require(bool(inside.all()), "a contour leaves the image")
-
-
-_WITHIN_PX = 0.1
-"""Stripes whose peaks scatter by 0.1 px, over hundreds of rows, are known to a tenth of this."""
-
-
-def check_a_camera_at_rest_is_left_alone(aligner: Aligner[Any]) -> None:
-    """Where the belt lies as calibrated, with a product on it, there is no correction and no reason."""
-    rig = LinearRig()
-    found = _align(aligner, rig, rig.x_px(rig.dome()))
-    require(not found.moved, f"a motion of {found.motion} is corrected where nothing has moved")
-    require(not found.reasons, f"it says {[reason.code for reason in found.reasons]} of a belt at rest")
-
-
-def check_a_small_shift_is_taken_out(aligner: Aligner[Any]) -> None:
-    """An image shifted by 0.8 px is corrected to within 0.1 px, with a reason."""
-    _taken_out(aligner, (0.8, 0.0, 0.0, 0.0))
-
-
-def check_a_small_turn_is_taken_out(aligner: Aligner[Any]) -> None:
-    """An image rotated by 0.5°, which leaves the stripes' mean in place, is corrected to within 0.1 px."""
-    _taken_out(aligner, (0.0, np.radians(0.5), 0.0, 0.0))
-
-
-def check_a_small_zoom_is_taken_out(aligner: Aligner[Any]) -> None:
-    """An image magnified by 0.6 %, which leaves the stripes' mean in place, is corrected to within 0.1 px."""
-    _taken_out(aligner, (0.0, 0.0, 0.006, 0.0))
-
-
-def check_a_far_motion_is_refused(aligner: Aligner[Any]) -> None:
-    """An image rotated by 8° is refused by a `StageError`."""
-    rig = LinearRig()
-    with refused("an image turned by 8°", StageError):
-        _align(aligner, rig, _moved_px(rig, (0.0, np.radians(8.0), 0.0, 0.0)))
-
-
-def check_an_unseen_belt_is_told(aligner: Aligner[Any]) -> None:
-    """Without a visible belt there is no correction, and a reason says so; or the frame is refused."""
-    rig = LinearRig()
-    try:
-        found = _align(aligner, rig, np.full((rig.stripes, rig.rows), np.nan))
-    except StageError:
-        return
-    require(not found.moved, "it corrects by a belt that is not seen")
-    require(bool(found.reasons), "it says nothing of a belt that is not seen")
-
-
-def _align(aligner: Aligner[Any], rig: LinearRig, x_px: Floats) -> Alignment:
-    return aligner.align(rig.peaks(x_px, scatter_px=0.1).peaks, rig.calibration(), moved_rig)
-
-
-def _moved_px(
-    rig: LinearRig, motion: tuple[float, float, float, float], height_mm: Floats | None = None
-) -> Floats:
-    """Give (stripe, row) centres, px, of a scene whose camera has moved since the rig's calibration."""
-    moved = moved_rig(rig.calibration(), Alignment(np.array(motion), np.zeros((4, 4))))
-    rest: Floats = moved.rest_line_px(np.arange(rig.rows, dtype=np.float64))
-    return rest if height_mm is None else rest + rig.px_per_mm * height_mm
-
-
-def _taken_out(aligner: Aligner[Any], motion: tuple[float, float, float, float]) -> None:
-    rig = LinearRig()
-    found = _align(aligner, rig, _moved_px(rig, motion, rig.dome()))
-    require(found.moved, f"{motion} is not seen")
-    require(bool(found.reasons), f"{motion} is corrected in silence")
-    rows = np.arange(rig.rows, dtype=np.float64)
-    off_px = moved_rig(rig.calibration(), found).rest_line_px(rows) - _moved_px(rig, motion)
-    worst = float(np.abs(off_px).max())
-    require(worst <= _WITHIN_PX, f"after {motion} the corrected lines are up to {worst:.2g} px off")

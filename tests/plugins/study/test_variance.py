@@ -98,9 +98,7 @@ def test_units_and_origin_change_nothing_but_the_unit(rng: np.random.Generator) 
 
 @pytest.mark.parametrize("gaps", [0.0, 0.12])
 def test_intervals_hold_what_they_promise(gaps: float) -> None:
-    """Of 150 studies 95 % are 142.5 ± 2.7, so within four of these; `python -m benchmarks studies` counts
-    1,000.
-    """
+    """Of 150 studies 95 % are 142.5 ± 2.7, so within four of these."""
     true = {"part": 5.0, "operator": 1.0, "interaction": 0.7, "repeatability": 1.0}
     true["gauge"] = math.sqrt(1.0 + 0.49 + 1.0)
     held = dict.fromkeys(true, 0)

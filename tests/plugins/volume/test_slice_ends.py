@@ -118,7 +118,7 @@ def test_between_few_stripes_the_plate_goes_as_a_quadric_does() -> None:
     s, v = 6.0 * number.astype(np.float64) - 9.0, np.tile(np.linspace(-6.0, 6.0, 9), 4)
     knots = Knots(s, v, dome(s, v), np.full(s.size, 5.0), number)
     angle = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
-    plate = plate_through(knots, 12.0 * np.cos(angle), 15.0 * np.sin(angle), np.full(90, 6.0))
+    plate = plate_through(knots, 12.0 * np.cos(angle), 15.0 * np.sin(angle))
     between = np.array([-11.0, -6.0, 0.0, 5.0, 10.5])
     at = np.zeros_like(between)
     np.testing.assert_allclose(plate.at(between, at), dome(between, at), atol=0.05)

@@ -164,7 +164,7 @@ def test_leaving_a_slice_out_is_a_refit_without_it(rng: np.random.Generator) -> 
     # no quadric's course, which is kept as it was found with all slices
     knots = Knots(s, v, rng.normal(0.0, 2.0, s.size), np.full(s.size, 5.0), number)
     angle = np.linspace(0.0, 2.0 * np.pi, 60)
-    rim = 10.0 + 16.0 * np.cos(angle), 12.0 * np.sin(angle), np.full(60, 6.0)
+    rim = 10.0 + 16.0 * np.cos(angle), 12.0 * np.sin(angle)
     keep = number != 2
     others = Knots(*(getattr(knots, name)[keep] for name in Knots.__slots__))
     whole, again = plate_through(knots, *rim), plate_through(others, *rim)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,7 +14,6 @@ import cv2
 import numpy as np
 import pytest
 
-from roemetry.cli.main import main
 from roemetry.config.dataset import DatasetWriter, Description, Item, save_stripes
 from roemetry.config.recipe import Recipe
 from roemetry.records import Acquisition, Frame, ProductTruth, StripeTruth
@@ -26,6 +26,7 @@ from roemetry_tools.compare.comparison import compare
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.ranking import Compared
 from roemetry_tools.compare.variants import make_variants
+from tests.command import exit_code
 
 COUNT = 3
 """Products of the data set."""
@@ -129,11 +130,4 @@ def dataset(line: Callable[..., Path], rig: Any) -> Callable[..., Path]:
 @pytest.fixture
 def roemetry(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
     """Run the command line in this process; gives the exit code."""
-
-    def run(*words: object) -> int:
-        monkeypatch.setattr(sys, "argv", ["roemetry", "compare", *map(str, words)])
-        with pytest.raises(SystemExit) as caught:
-            main()
-        return int(caught.value.code or 0)
-
-    return run
+    return partial(exit_code, monkeypatch, "compare")
