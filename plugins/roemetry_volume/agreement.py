@@ -233,25 +233,25 @@ class _CurveBrackets(NamedTuple):
         but belt that faces the light is lit up to a sound edge: as far as its light ends short of the edge,
         the edge may be too far inside.
         """
-        against = max(self._against_px(np.zeros(2)) - _END_PX, 0.0)
+        still = np.zeros(2)
+        of_ring, of_free = (self._off_px(edge, still) for edge in (self.ring, self.free))
+        against = max(self._against_px(still, of_free) - _END_PX, 0.0)
         apart, of_ends = (0.0, 0.0) if self.ends is None else self.ends.disagreement_px()
-        of_light = max(self._off_by_light_px(edge) for edge in (self.ring, self.free))
+        of_light = max(_off_by_light_px(off_px) for off_px in (of_ring, of_free))
         return max(against, apart, of_light), max(against, of_ends)
 
-    def _off_by_light_px(self, edge: Floats) -> float:
-        off_px = None if self.light is None else self.light.off_px(edge, np.zeros(2))
-        if off_px is None:
-            return 0.0
-        differs_px = min(0.5 * abs(off_px[0] - off_px[1]), max(0.0, max(off_px) + _TOUCHES_PX))
-        return max(differs_px, -off_px[1] - _TOUCHES_PX)
+    def _off_px(self, edge: Floats, shift_px: Floats) -> tuple[float, float] | None:
+        return None if self.light is None else self.light.off_px(edge, shift_px)
 
     def contradiction_left_px(self) -> float:
         """Say how far points, and nine in ten ends, contradict the best shifted edge at most."""
-        left_px = _best_shifted(self._against_px)
+        left_px = _best_shifted(
+            lambda shift_px: self._against_px(shift_px, self._off_px(self.free, shift_px))
+        )
         return left_px if self.ends is None else max(left_px, self.ends.contradiction_left_px())
 
-    def _against_px(self, shift_px: Floats) -> float:
-        """Give how far an edge is from points that lie on its wrong side.
+    def _against_px(self, shift_px: Floats, off_px: tuple[float, float] | None) -> float:
+        """Give how far an edge is from points, and light `off_px`, that lie on its wrong side.
 
         So many points as the share lie in a strip within a sound edge: how wide that is, area and length of
         the outline say.
@@ -262,8 +262,15 @@ class _CurveBrackets(NamedTuple):
         found = max(float(np.partition(side, -last)[-last]) for side in (outside, inside))
         around_px = float(np.hypot(*(np.roll(self.free, -1, axis=0) - self.free).T).sum())
         found += _STRIP_SHARE * abs(area_of(self.free)) / around_px
-        off_px = None if self.light is None else self.light.off_px(self.free, shift_px)
         return found if off_px is None else max(found, *off_px)
+
+
+def _off_by_light_px(off_px: tuple[float, float] | None) -> float:
+    """Say how far an edge is off by what `CircleLight.off_px` says of it."""
+    if off_px is None:
+        return 0.0
+    differs_px = min(0.5 * abs(off_px[0] - off_px[1]), max(0.0, max(off_px) + _TOUCHES_PX))
+    return max(differs_px, -off_px[1] - _TOUCHES_PX)
 
 
 def _curves_of(

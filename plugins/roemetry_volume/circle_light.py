@@ -77,13 +77,20 @@ class CircleLight(NamedTuple):
         """Say which of the belt's light is on a ridge that leaves the belt's circle within a contour."""
         import cv2
 
-        within = np.zeros(self.ridge.shape, np.uint8)
-        cv2.fillPoly(within, [np.rint(contour).astype(np.int32)], 1)
-        within &= self.ridge
+        # only what lies in the contour's box is looked at
+        last = np.array(self.ridge.shape[::-1]) - 1
+        low, high = (np.clip(np.rint(end(contour, axis=0)), 0, last).astype(int) for end in (np.min, np.max))
+        box = np.s_[low[1] : high[1] + 1, low[0] : high[0] + 1]
+        within = np.zeros(self.ridge[box].shape, np.uint8)
+        cv2.fillPoly(within, [np.rint(contour).astype(np.int32) - low.astype(np.int32)], 1)
+        within &= self.ridge[box]
         number = cv2.connectedComponents(within, connectivity=8)[1]
-        leaving = np.bincount(number[self.leaves & (number > 0)], minlength=number.max() + 1)
-        column, row = self.belt.astype(np.int64).T
-        return np.asarray(leaving[number[row, column]] >= _LEAST_PX)
+        leaving = np.bincount(number[self.leaves[box] & (number > 0)], minlength=number.max() + 1)
+        place = self.belt.astype(np.int64)
+        thin = ((place >= low) & (place <= high)).all(axis=1)
+        column, row = (place[thin] - low).T
+        thin[thin] = leaving[number[row, column]] >= _LEAST_PX
+        return np.asarray(thin)
 
     def off_px(self, contour: Floats, shift_px: Floats) -> tuple[float, float] | None:
         """Say how far outside a contour the product's light lies, and how far inside of it the belt's.
