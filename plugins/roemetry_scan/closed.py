@@ -8,8 +8,9 @@ Flanks that a head does not see are followed to it (`roemetry_scan.flanks`): tho
 as far as the upper head sees no belt. Beyond the first and last section areas fall as an ellipsoid's do.
 
 Uncertainty: `registration` its standard uncertainty across the heads, times the footprint; `flanks` what was
-followed, as of one-sided scans; `unseen rim` a fifth of what lies beyond the curves' ends, and what one head
-alone sees; `between sections` what every other station changes; `motion`, `damaged lines`, `belt off its
+followed on both sides, as of one-sided scans, by what the upper head tells of the body's flanks: the lower
+one sees no belt that would end them; `unseen rim` a fifth of what lies beyond the curves' ends, and what one
+head alone sees; `between sections` what every other station changes; `motion`, `damaged lines`, `belt off its
 zero` and `length of the line` as of one-sided scans: damaged lines of both, of the others the larger.
 """
 
@@ -24,7 +25,7 @@ from roemetry.calibrating.sphere_plate import fit_sphere
 from roemetry.errors import CalibrationError, StageError
 from roemetry.records import Estimate, Profiles, SpherePlate
 from roemetry.records.arrays import Flags, Floats
-from roemetry_scan.dense import FAULTS_UNSEEN, FLANK_SHARE, TO_RIM, estimate_of
+from roemetry_scan.dense import FAULTS_UNSEEN, TO_RIM, estimate_of, flanks_std_mm3, told_of
 from roemetry_scan.flanks import conic, followed_to
 from roemetry_scan.slip import resampled
 
@@ -198,7 +199,7 @@ def closed_volume(
     low_flank = added & (upper < rim)  # followed to the belt: the flank of a closed body ends at the rim
     upper, added = np.where(low_flank, np.nan, upper), added & ~low_flank
     lower, hidden = _underside_followed(x, y, upper, lower, rim)
-    followed = float((upper - rim)[added].sum() + (rim - lower)[hidden].sum())
+    followed = abs(float((upper - rim)[added].sum())) + abs(float((rim - lower)[hidden].sum()))
     over, under = (np.array([_half(y, line) for line in half]) for half in (upper - rim, rim - lower))
     both = (over[:, :1] > 0.0) & (under[:, :1] > 0.0)
     areas, beyond = np.where(both, over + under, 0.0).T
@@ -215,7 +216,8 @@ def closed_volume(
             f"both see {value / 1000.0:.2f} cm³",
             hint="look at both scans: is the line followed everywhere, and is the registration theirs?",
         )
-    footprint = float(np.isfinite(upper).sum() * step * (y[1] - y[0]))
+    cell = step * float(y[1] - y[0])
+    footprint = float(np.isfinite(upper).sum()) * cell
     coarse = [float((areas + beyond)[first::2].sum() * 2.0 * step) for first in (0, 1)]
     scans = [one.scan for one in (top, bottom) if one.scan is not None]
     return estimate_of(
@@ -223,7 +225,7 @@ def closed_volume(
         {
             "registration": registration.std_mm * footprint,
             "unseen rim": _RIM_SHARE * (float(beyond.sum() * step) + ends) + alone,
-            "flanks": FLANK_SHARE * abs(followed) * step * float(y[1] - y[0]),
+            "flanks": flanks_std_mm3(followed * cell, value, told_of(top, numbers[0])),
             "between sections": 0.5 * abs(coarse[0] - coarse[1]),
             "motion": value * max((scan.pitch_rel_std for scan in scans), default=0.0),
             "damaged lines": value * FAULTS_UNSEEN * sum(scan.damaged / scan.lines for scan in scans),
