@@ -437,7 +437,8 @@ def _seen(scene: Scene, ring: Floats) -> tuple[float, float]:
     clear : float
         Share of what lies beside stripes whose step is three times what such steps scatter on the belt.
     open_px : float
-        Standard uncertainty: the mean over the ring of the rectangles' half widths over √3.
+        Standard uncertainty: the mean over the ring of the rectangles' half widths over √3, and that of how
+        far the outline lies from their middles.
     """
     assert scene.stripes is not None
     normal = normals_of(ring, _NORMAL_REACH)
@@ -450,10 +451,14 @@ def _seen(scene: Scene, ring: Floats) -> tuple[float, float]:
     noise = 1.4826 * median_of(np.abs(belt)) if belt.size else math.inf
     known = shares > 0.0
     clear = known & (np.abs(steps) * np.sqrt(shares) > _CLEAR * noise)
-    off = np.arange(-0.6 * scene.spacing_px, scene.spacing_px, 1.0)
-    open_px = (~shut_between(*scene.marks[:2], ring, normal, off)).sum(axis=1)
+    outwards, inwards, _ = _WIDE[0]
+    off = np.arange(-(outwards + inwards) * scene.spacing_px, scene.spacing_px, 1.0)
+    free = ~shut_between(*scene.marks[:2], ring, normal, off)
+    open_px = free.sum(axis=1)
     unknown = ~clear & (open_px > _DECIDED_PX)
-    return float(clear.sum() / max(known.sum(), 1)), float((unknown * open_px).mean()) / math.sqrt(12.0)
+    middle_px = free @ off / np.maximum(open_px, 1)
+    spread_px = float((unknown * open_px).mean()) / math.sqrt(12.0)
+    return float(clear.sum() / max(known.sum(), 1)), math.hypot(spread_px, (unknown * middle_px).mean())
 
 
 def _steps(scene: Scene, ring: Floats) -> tuple[Floats, Floats]:

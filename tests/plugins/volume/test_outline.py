@@ -429,3 +429,24 @@ def test_the_cheapest_closed_path_is_found(rng: np.random.Generator) -> None:
 
     every = np.stack(np.meshgrid(*[np.arange(4)] * 6), axis=-1).reshape(-1, 6)
     assert price(closed_path(cost, 0.3, 1)) == pytest.approx(price(every).min(), abs=1e-9)
+
+
+@pytest.mark.parametrize(("radius_px", "from_middle_px"), [(70.0, 0.0), (97.0, 27.0)])
+def test_an_outline_that_light_does_not_tell_is_as_uncertain_as_it_may_be_off(
+    radius_px: float, from_middle_px: float, rng: np.random.Generator
+) -> None:
+    """A disc of 40 px that stripes show, belt from 100 px on, and nothing but noise between."""
+    row, column = np.mgrid[0:260, 0:260].astype(np.float32)
+    away_px = np.hypot(row - 130.0, column - 130.0)
+    scene = edge_search.Scene(
+        level=rng.normal(1.0, 0.01, away_px.shape).astype(np.float32),
+        bounds=((away_px < 40.0).astype(np.float32), (away_px > 100.0).astype(np.float32)),
+        stripes=np.zeros_like(away_px),
+        blur_px=1.0,
+        spacing_px=20.0,
+    )
+    angle = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
+    ring = 130.0 + radius_px * np.column_stack([np.cos(angle), np.sin(angle)])
+    clear, open_px = edge_search._seen(scene, ring)
+    assert clear < 0.2
+    assert open_px == pytest.approx(np.hypot(60.0 / np.sqrt(12.0), from_middle_px), abs=3.0)
