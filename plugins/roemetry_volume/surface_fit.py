@@ -70,6 +70,8 @@ class Start(NamedTuple):
     """(400,) where the outline is a flat end's."""
     wall_shows: bool
     """Whether the outline holds the walls that face the camera."""
+    beside: tuple[int, int]
+    """How many slices at either end are left out, as their lines of light pass beside the body."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -122,12 +124,17 @@ def points_of(product: Product, view: View | None = None, outline: Outline | Non
     loose, xyz_mm = _loose_of(profiles, number)
     outside_px = -inside_by(outline.xy_px.copy(), view.project(xyz_mm)) if loose.size else np.empty(0)
     specks = loose[outside_px > _ASTRAY_PX + _ASTRAY_SIGMAS * outline.xy_std_px]
-    return _off_edges(_points_of(profiles, number, tuple(specks.tolist())), view, outline)
+    return _points_of(profiles, number, tuple(specks.tolist()))
 
 
-def _off_edges(points: StripePoints, view: View, outline: Outline) -> StripePoints:
-    """Leave out the outer slices whose lines of light pass beside the body; at least three stay."""
+def _slices_beside(points: StripePoints, view: View, outline: Outline) -> tuple[int, int]:
+    """Count the slices at either end whose lines of light pass beside the body; at least three are kept."""
     ring, kept = outline.xy_px.copy(), [0, points.first.size - 1]
+
+    def is_within(xyz_mm: Floats, half_mm: float) -> bool:
+        xy_px, beside_px = view.project(xyz_mm), view.project(xyz_mm + np.array([half_mm, 0.0, 0.0]))
+        return bool((inside_by(ring, xy_px) > np.hypot(*(beside_px - xy_px).T)).any())
+
     for end, step in ((0, 1), (1, -1)):
         while kept[1] - kept[0] > _SLICES_LEAST:
             outer = kept[0] if end == 0 else kept[1] - 1
@@ -136,14 +143,22 @@ def _off_edges(points: StripePoints, view: View, outline: Outline) -> StripePoin
             )
             apart_mm = abs(float(next_mm[:, 0].mean() - xyz_mm[:, 0].mean()))
             half_mm = min(_HALF_LINE_MM, _HALF_LINE_SHARE * apart_mm)
-            xy_px = view.project(xyz_mm)
-            beside_px = view.project(xyz_mm + np.array([half_mm, 0.0, 0.0]))
-            if (inside_by(ring, xy_px) > np.hypot(*(beside_px - xy_px).T)).any():
+            middle = len(xyz_mm) // 2  # nearly always within, and then the others need not be asked
+            if is_within(xyz_mm[middle : middle + 1], half_mm) or is_within(xyz_mm, half_mm):
                 break
             kept[end] += step
-    begin, stop = points.first[kept[0]], points.first[kept[1]]
-    first = points.first[kept[0] : kept[1] + 1] - begin
-    return StripePoints(points.xyz_mm[begin:stop], points.slice[begin:stop] - kept[0], first)
+    return kept[0], points.first.size - 1 - kept[1]
+
+
+def _without_slices(points: StripePoints, beside: tuple[int, int]) -> StripePoints:
+    """Leave out so many slices at either end, unless that leaves fewer than three."""
+    before, after = beside
+    slices = points.first.size - 1
+    if not before + after or slices - before - after < _SLICES_LEAST:
+        return points
+    first = points.first[before : slices - after + 1]
+    kept = slice(first[0], first[-1])
+    return StripePoints(points.xyz_mm[kept], points.slice[kept] - before, first - first[0])
 
 
 @lru_cache(maxsize=8)
@@ -253,7 +268,10 @@ def fit_surface(product: Product, view: View, outline: Outline, start: Start | N
         silhouette = sight_lines(view, outline)
     else:
         silhouette = view.rays(evenly(outline.xy_px, _POINTS))
-    points = points_of(product, view, outline)
+    seen = points_of(product, view, outline)
+    # which slices count is found once: what changes a little must not change by a slice
+    beside = _slices_beside(seen, view, outline) if start is None else start.beside
+    points = _without_slices(seen, beside)
     xyz = points.xyz_mm
     if start is None:
         outermost = np.concatenate([points.first[:-1], points.first[1:] - 1])
@@ -287,7 +305,7 @@ def fit_surface(product: Product, view: View, outline: Outline, start: Start | N
     contour = (border.xy_mm - centre) @ turn
     s, v, weight = nodes_within(contour, *_gauss(_NODES[0]), *_gauss(_NODES[1]))
     weight *= abs(area_of(contour)) / weight.sum()  # corners are between nodes
-    found = Start((centre, turn), height, fall, open_end, wall_shows)
+    found = Start((centre, turn), height, fall, open_end, wall_shows, beside)
     return FittedSurface(
         points, place, rim, border, plate, knots, contour, open_end, height, s, v, weight, found
     )

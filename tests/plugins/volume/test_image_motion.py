@@ -83,3 +83,17 @@ def test_the_rim_of_a_shadow_in_plain_light_is_no_texture_of_the_belt(rng: np.ra
 def test_without_ambient_light_nothing_is_said(rng: np.random.Generator) -> None:
     laser, plain = images(rng, ambient_grey=0.0)
     assert image_motion(laser, plain, NOWHERE) is None
+
+
+@pytest.mark.parametrize("period_px", [9, 12, 16, 24])
+def test_a_weave_that_fits_by_any_period_says_nothing(period_px: int, rng: np.random.Generator) -> None:
+    row, column = np.mgrid[0:ROWS, 0:COLUMNS]
+    threads = np.sin(2.0 * np.pi * column / period_px) * np.sin(2.0 * np.pi * row / period_px)
+    belt = 1.0 + 0.04 * threads
+    stripes = 150.0 * np.exp(-0.5 * (((np.arange(COLUMNS) + 20) % 40 - 20) / 2.0) ** 2)
+    noise = rng.normal(0.0, 1.0, (2, ROWS, COLUMNS))
+    laser, plain = (
+        np.clip(np.rint(one), 0, 255).astype(np.uint8)
+        for one in (12.0 * belt + stripes + noise[0], 90.0 * belt + noise[1])
+    )
+    assert image_motion(laser, moved(plain, (8.0, 3.0, 0.0, 0.0)), NOWHERE) is None

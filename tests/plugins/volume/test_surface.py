@@ -398,8 +398,12 @@ def test_the_flank_of_a_line_beside_the_body_is_no_slice(made) -> None:
     """Light of a line whose centre passes 0.2 mm beside an end of the body: 3 mm too low there."""
     clean, true_mm3 = made(x0=-3.0)
     grazing = grazed(clean, end_mm=-3.0 + (30.0 if made is box else 40.0))
-    held = points_of(grazing, grazing.view, grazing.outline)
+    found = fit_surface(grazing, grazing.view, grazing.outline)
+    held = found.points
     np.testing.assert_array_equal(held.xyz_mm, points_of(clean).xyz_mm)
+    moved = replace(grazing.outline, xy_px=grazing.outline.xy_px + np.array([3.0, 0.0]))
+    again = fit_surface(grazing, grazing.view, moved, found.start)
+    assert again.points.slice[-1] == held.slice[-1], "a slice more or less is no small change"
     assert held.first[-1] == held.slice.size and held.slice[-1] == held.first.size - 2
     assert off((grazing, true_mm3)) == pytest.approx(off((clean, true_mm3)), abs=1e-4)
 
