@@ -29,7 +29,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from roemetry.config.recipe_file import SensorFile
 from roemetry.config.validation import checked
-from roemetry.errors import ConfigurationError, DataError, OutputError
+from roemetry.errors import ConfigurationError, DataError, OutputError, RecordError
 from roemetry.io.files import (
     LineFile,
     first_fault,
@@ -138,7 +138,7 @@ class Dataset:
                 optional = (one for one in ("product", "y_px") if one in kept)
                 fields = ("x_px", "on_product", "xyz_mm", *optional)
                 stripes = StripeTruth(**{name: kept[name] for name in fields})
-        except (OSError, KeyError, ValueError) as error:
+        except (OSError, KeyError, ValueError, RecordError) as error:
             raise DataError(f"{path}: not the truth of stripes: {error}") from error
         return Truth(item.products, stripes)
 

@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from roemetry.errors import DataError
+from roemetry.errors import DataError, RecordError
 
 if TYPE_CHECKING:
     from roemetry_scan.formats.points import Measured
@@ -28,7 +28,7 @@ def read(path: Path) -> Measured:
         found: Measured = _module(path).read(path)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (ValueError, KeyError, IndexError, OverflowError, TypeError, EOFError) as error:
+    except (ValueError, KeyError, IndexError, OverflowError, TypeError, EOFError, RecordError) as error:
         raise DataError(f"{path}: not a readable {path.suffix[1:].upper()} file: {error}") from error
     return found
 

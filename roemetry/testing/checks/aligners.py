@@ -33,7 +33,7 @@ def check_a_moved_camera_is_corrected(aligner: Aligner[Any]) -> None:
 
 
 def check_a_far_motion_is_refused(aligner: Aligner[Any]) -> None:
-    """A shift by 5 px or a rotation by 8°, and peaks of another pattern, are refused by a `StageError`."""
+    """A shift by 5 px or a rotation by 8°, as the pattern has it, and another pattern's peaks are refused."""
     belt = belt_under(aligner.capabilities.pattern)
     for motion in belt.far:
         with refused(f"a motion of {motion}", StageError):
