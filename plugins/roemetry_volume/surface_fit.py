@@ -116,8 +116,8 @@ def points_of(product: Product, view: View | None = None, outline: Outline | Non
 
     What a coder has bridged beyond the outermost points it saw of a slice runs down to the belt beside the
     product, and is no part of its surface: left out, as are slices of which nothing was seen. So is, with an
-    outline, what is seen beyond a gap at the end of a slice and appears outside of that: a speck. Slices whose
-    lines of light pass beside the body are still there: `fit_surface` leaves them out.
+    outline, what is seen beyond a gap at the end of a slice and appears outside of that: a speck. Slices
+    whose lines of light pass beside the body are still there: `fit_surface` leaves them out.
     """
     profiles, number = product.profiles, product.number
     if view is None or outline is None:
