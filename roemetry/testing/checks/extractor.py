@@ -184,12 +184,14 @@ def check_steps_are_counted_right(extractor: Extractor[Any]) -> None:
 
 
 def check_the_smallest_frames_are_taken(extractor: Extractor[Any]) -> None:
-    """A frame of one pixel, one row or one column gives no peak or a `RoemetryError`."""
+    """A frame of one pixel, row or column gives no peak; of lines alone it may be a `RoemetryError`."""
     for shape in ((1, 1), (1, 40), (40, 1), (2, 2), (3, 3)):
         frame = Frame(np.full(shape, 200, np.uint8))
         try:
             peaks = extractor.extract(frame)
         except RoemetryError:
+            if extractor.capabilities.pattern != "lines":
+                raise
             continue
         found = _count(peaks)
         require(found == 0, f"{found} peaks in an even frame of {shape[0]} × {shape[1]} pixels")
