@@ -23,6 +23,7 @@ from benchmarks.command import parser_of
 from benchmarks.grading.bodies import CLASSES, Body
 from benchmarks.grading.judges import (
     GOOD,
+    NOT_GOOD,
     SHOWN_MM,
     UNKNOWN,
     Judged,
@@ -113,16 +114,17 @@ def _results(found: Mapping[str, Mapping[str, Sequence[Judged]]]) -> str:
             asked = [one for one in judged if one.row.name == GOOD or one.row.shown_mm >= SHOWN_MM]
             good = [one.label == GOOD for one in asked if one.row.name == GOOD]
             caught = [one.caught for one in asked if one.row.name != GOOD]
-            right = [one.label == one.row.name for one in asked]
+            named = [one.label == one.row.name for one in asked]
+            unnamed = [one.right and one.label == NOT_GOOD for one in asked]
             unknown = [one.label == UNKNOWN for one in asked]
-            wrong = 1.0 - np.mean(right) - np.mean(unknown)
+            wrong = 1.0 - np.mean(named) - np.mean(unnamed) - np.mean(unknown)
             if "paper" in name:  # it says good or not, and names no defect
                 wrong = np.mean([(one.label == GOOD) != (one.row.name == GOOD) for one in asked])
-            shares = [np.mean(good), np.mean(caught), np.mean(right), wrong, np.mean(unknown)]
+            shares = [np.mean(one) for one in (good, caught, named, unnamed, wrong, unknown)]
             cells = [f"{100.0 * one:.1f} %" for one in shares]
             cells[2] = "names none" if "paper" in name else cells[2]
             rows.append([NAMES[test], str(len(asked)), name, *cells])
-    head = ("products", "n", "classifier", "good kept", "caught", "right", "wrong", "unknown")
+    head = ("products", "n", "classifier", "good kept", "caught", "right", "not named", "wrong", "unknown")
     return table(head, rows)
 
 
@@ -133,7 +135,7 @@ def _reliability(found: Mapping[str, Sequence[Judged]]) -> str:
         stated = [one for one in judged if one.label != UNKNOWN]
         if stated:
             p = np.mean([one.probability for one in stated])
-            right = np.mean([one.label == one.row.name for one in stated])
+            right = np.mean([one.right for one in stated])
             rows.append([NAMES[test], str(len(stated)), f"{p:.3f}", f"{right:.3f}"])
     return table(("products", "stated", "mean probability", "share right"), rows)
 

@@ -21,7 +21,7 @@ SHOWN_MM = 1.0
 TAUGHT_MM = 0.5
 """A defect that stripes show by less is not learned from: its features are those of a good product."""
 
-GOOD, UNKNOWN = "good", "unknown"
+GOOD, NOT_GOOD, UNKNOWN = "good", "not-good", "unknown"
 Judge = Callable[[Row], Grade]
 
 NOT_LEARNED = ("humps", "hump_height_mm", "hump_area_mm2")
@@ -150,6 +150,11 @@ class Judged(NamedTuple):
     def caught(self) -> bool:
         """Whether it was called some defect; *unknown* is not."""
         return self.label not in (GOOD, UNKNOWN)
+
+    @property
+    def right(self) -> bool:
+        """Whether it was given its class, or called `not-good` rightly."""
+        return self.label == self.row.name or (self.label == NOT_GOOD and self.row.name != GOOD)
 
 
 def judged_by(judge: Judge, rows: Sequence[Row]) -> list[Judged]:

@@ -17,8 +17,8 @@ Row = Mapping[str, Any]
 Rows = Sequence[Row]
 
 VERDICTS = ("right", "wrong", "unknown", "none")
-DEFECTIVE = "henkei"
-"""What the paper's rule and the fuzzy rules call a skein with any defect."""
+DEFECTIVE = ("henkei", "not-good")
+"""What the paper's and the fuzzy rules call any defect, and `learned` a defect whose kind is in doubt."""
 
 
 def tables(results: Rows) -> list[Table]:
@@ -206,7 +206,7 @@ def grade_of(said: str | None, true: str) -> str:
         return "none"
     if said == "unknown":  # the right answer for a body that no class describes
         return "right" if true == NO_SKEIN else "unknown"
-    if said == DEFECTIVE:  # the paper's word for any defect
+    if said in DEFECTIVE:  # any defect, not named
         return "wrong" if true in ("good", NO_SKEIN) else "right"
     return "right" if said == true else "wrong"
 

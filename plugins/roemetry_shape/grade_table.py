@@ -192,9 +192,12 @@ def _shape(wanted: tuple[str, ...], grade: Grade | None) -> tuple[Verdict, str]:
     asked = " or ".join(wanted)
     if grade is None or grade.label == "unknown":
         return "open", f"the shape is not known, {asked} is required"
-    is_wanted, sure = grade.label in wanted, _sure(wanted, grade)
-    if not math.isnan(sure) and (sure if is_wanted else 1.0 - sure) < _SHAPE_PROBABILITY_MIN:
+    sure = _sure(wanted, grade)
+    if math.isnan(sure):
+        sure = float(grade.label in wanted)
+    if 1.0 - _SHAPE_PROBABILITY_MIN < sure < _SHAPE_PROBABILITY_MIN:
         return "open", f"the shape is {grade.label}, {asked} has a probability of {sure:.2f}"
+    is_wanted = sure >= _SHAPE_PROBABILITY_MIN
     return ("in" if is_wanted else "out"), f"the shape is {grade.label}" + (
         "" if is_wanted else f", {asked} is required"
     )
@@ -204,19 +207,15 @@ def _sure(wanted: tuple[str, ...], grade: Grade) -> float:
     """Probability that the shape is one of those wanted; NaN where it is not modelled."""
     if math.isnan(grade.probability):
         return math.nan
-    if grade.label in wanted:
-        others = [label for label in wanted if label != grade.label]
-        return min(1.0, grade.probability + sum(_of(grade.features, label) for label in others))
-    named = [_of(grade.features, label) for label in wanted]
-    return (
-        sum(named)
-        if any(f"probability_{label}" in grade.features for label in wanted)
-        else (1.0 - grade.probability)
-    )
-
-
-def _of(features: Mapping[str, float], label: str) -> float:
-    return features.get(f"probability_{label}", 0.0)
+    begin = "probability_"
+    stated = {name.removeprefix(begin): p for name, p in grade.features.items() if name.startswith(begin)}
+    if grade.label not in wanted and not any(label in stated for label in wanted):
+        return 1.0 - grade.probability
+    stated[grade.label] = grade.probability
+    # `not-good` is all defects together: it is not added to theirs.
+    together = [stated.get(label, 0.0) for label in wanted if label.startswith("not-")]
+    single = sum(stated.get(label, 0.0) for label in wanted if not label.startswith("not-"))
+    return min(1.0, max(single, *together, 0.0))
 
 
 def _limit(name: str, limits: Limits, found: Quantities, factor: float) -> tuple[Verdict, str]:

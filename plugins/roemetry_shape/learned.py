@@ -13,6 +13,7 @@ In both cases
     novel                     → unknown   unlike anything learned (`roemetry_shape.novelty`)
     c = good if p_good ≥ good_from, else the likeliest other class; good_from is balanced on held-out products
     p_c ≥ stated_from         → c
+    1 − p_good ≥ stated_from  → not-good  it has a defect, but which one is in doubt
     else                      → unknown   no class is likely enough
 
 `stated_from` is the limit at which no more than `WRONG_MAX` of held-out products were given a wrong class.
@@ -86,7 +87,8 @@ class Learned(Classifier[LearnedOptions]):
     """A class, with a calibrated probability, from what was learned of labelled products.
 
     ``unknown`` is the answer where the product shows too few sections, where it is unlike anything the model
-    was fitted on, and where no class is likely enough.
+    was fitted on, and where it may as well be good as not. ``not-good`` (after the name of the good class) is
+    the answer where it is surely not good, but no defect is likely enough to be named.
     """
 
     capabilities = Capabilities(fixture="roemetry_shape.learned:learned_options")
@@ -121,15 +123,24 @@ class Learned(Classifier[LearnedOptions]):
         novelty = model.novelty(values)
         by_class = dict(zip(model.classes, model.probabilities(values).tolist(), strict=True))
         told = {**features, **{f"probability_{name}": value for name, value in by_class.items()}}
+        if model.good:
+            told[f"probability_not-{model.good}"] = 1.0 - by_class[model.good]
         told["novelty"] = novelty.value
         if novelty.value > 1.0:
             return Grade(UNKNOWN, math.nan, told, (Reason("unlike-anything-learned", _unlike(novelty)),))
         label = _decided(by_class, model)
         least = max(self.options.probability_min, model.stated_from)
-        if by_class[label] < least:
-            why = f"the likeliest class, {label}, has a probability of {by_class[label]:.2f} only"
-            return Grade(UNKNOWN, math.nan, told, (Reason("no-class-likely", why),))
-        return Grade(label, by_class[label], told, (Reason("learned-class", _said(by_class)),))
+        if by_class[label] >= least:
+            return Grade(label, by_class[label], told, (Reason("learned-class", _said(by_class)),))
+        if label != model.good and told.get(f"probability_not-{model.good}", 0.0) >= least:
+            return Grade(
+                f"not-{model.good}",
+                told[f"probability_not-{model.good}"],
+                told,
+                (Reason("defect-not-named", f"no defect is likely enough to be named; {_said(by_class)}"),),
+            )
+        why = f"the likeliest class, {label}, has a probability of {by_class[label]:.2f} only"
+        return Grade(UNKNOWN, math.nan, told, (Reason("no-class-likely", why),))
 
     @classmethod
     def fit(

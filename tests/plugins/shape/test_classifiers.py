@@ -136,6 +136,24 @@ def test_what_is_learned_is_right_and_says_how_sure_it_is(learned_of_three: Fitt
     np.testing.assert_array_equal(far, farther)
 
 
+def test_a_defect_in_doubt_is_not_good_and_only_where_good_is_unlikely(
+    learned_of_three: Fitted, tmp_path: Path
+) -> None:
+    """Dents and bends overlap: between them no name is sure, but good is as good as excluded."""
+    path = tmp_path / "model.json"
+    path.write_text(learned_of_three.content, encoding="utf-8")
+    learned = Learned(LearnedOptions(model=path, probability_min=0.9))
+    between = learned.judge({"a_mm": 4.0, "b_mm": 0.75})
+    assert between.label == "not-good"
+    assert between.probability == pytest.approx(1.0 - between.features["probability_good"], abs=1e-12)
+    assert between.probability > 0.99
+    assert between.reasons[0].code == "defect-not-named"
+    halfway = [learned.judge({"a_mm": float(a), "b_mm": 0.0}) for a in np.linspace(1.6, 2.4, 41)]
+    doubtful = [one for one in halfway if 0.1 < one.features["probability_good"] < 0.9]
+    assert doubtful
+    assert {one.label for one in doubtful} == {"unknown"}
+
+
 def test_a_group_is_never_on_both_sides_of_a_fold(rng: np.random.Generator) -> None:
     groups = rng.integers(0, 40, 300)
     groups = np.unique(groups, return_inverse=True)[1]

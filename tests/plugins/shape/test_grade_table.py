@@ -113,6 +113,8 @@ def test_guarded_acceptance_keeps_its_risk(rng: np.random.Generator) -> None:
         # Not sure which of the two, sure that it is one of them: class A is open, B is not.
         ("bent", 0.7, {"probability_good": 0.29, "probability_bent": 0.7}, "undecided"),
         ("bent", 0.96, {"probability_good": 0.04, "probability_bent": 0.96}, "B"),
+        ("not-good", 0.99, {"probability_good": 0.01, "probability_not-good": 0.99}, "C"),
+        ("not-good", 0.9, {"probability_good": 0.1, "probability_not-good": 0.9}, "undecided"),
     ],
 )
 def test_a_shape_must_be_sure(
@@ -120,6 +122,24 @@ def test_a_shape_must_be_sure(
 ) -> None:
     grade = Grade(label, probability, features)
     assert grading(TABLE).decide(PRODUCT, None, Weight(whole(30.0, 0.1)), grade).label == wanted
+
+
+@pytest.mark.parametrize(
+    ("wanted", "label", "stated", "takes"),
+    [
+        (["bent", "dented"], "not-good", {"bent": 0.6, "dented": 0.39, "not-good": 0.99}, True),
+        (["not-good"], "bent", {"bent": 0.97, "not-good": 0.99}, True),
+        (["bent"], "not-good", {"bent": 0.6, "dented": 0.39, "not-good": 0.99}, False),
+        # added up, they would be 1.3
+        (["bent", "not-good"], "bent", {"bent": 0.6, "not-good": 0.7}, False),
+    ],
+)
+def test_all_defects_together_are_not_added_to_each_of_them(
+    wanted: list[str], label: str, stated: dict[str, float], *, takes: bool
+) -> None:
+    grade = Grade(label, stated[label], {f"probability_{name}": p for name, p in stated.items()})
+    classes = [{"label": "A", "shape": wanted}, {"label": "rest"}]
+    assert (grading({"classes": classes}).decide(PRODUCT, None, None, grade).label == "A") == takes
 
 
 def test_size_colour_and_volume_are_asked_of_whoever_knows() -> None:
