@@ -23,7 +23,7 @@ from roemetry.records import Product
 from roemetry.records.arrays import Floats
 from roemetry_kernels.compiling import kernel
 from roemetry_volume.quadric_ends import edges_missed, quadric_end
-from roemetry_volume.slice_table import AREA, TOP, WALL, WIDTH, Slices, three_outer
+from roemetry_volume.slice_table import AREA, SQUARE, TOP, WALL, WIDTH, Slices, three_outer
 
 NO_CAP, TAPERED, BLUNT = 0.0, 1.0, 2.0  # numbers, for kernels keep them beside lengths
 
@@ -70,8 +70,8 @@ class Cap(NamedTuple):
 
 def cap_of(product: Product, slices: Slices, end: int) -> Cap:
     """Give what lies beyond the first (`end` 0) or the last (1) slice."""
-    limited, within = slices.limited[end], _within(slices, end)
-    found = _by_areas(slices, end, within)
+    limited, within = slices.limited[end], within_mm(slices, end)
+    found = by_areas(slices, end, within)
     volume, length, shadow, rim_mm, off_mm = quadric_end(
         slices.profiles.xyz_mm,
         slices.profiles.product,
@@ -104,12 +104,14 @@ def cap_of(product: Product, slices: Slices, end: int) -> Cap:
     return _mixed(Cap(volume, length, found.slope_mm, TAPERED, shadow, own), found, trust)
 
 
-def _by_areas(slices: Slices, end: int, within: float) -> Cap:
+def by_areas(slices: Slices, end: int, within: float) -> Cap:
     """Give what the slices' areas say of an end."""
     outer, lean, limited = slices.table[-end].tolist(), slices.lean[end], slices.limited[end]
     area, reach = outer[AREA], slices.reach_mm[end]
     volume, length, slope, trust = taper_of(slices.t_mm, slices.area_mm2, end, within, limited)
     tapered = Cap(volume, length, slope, TAPERED, 0.0, (_TAPER_STD if limited else _OPEN_TAPER_STD) * volume)
+    if trust > 0.0 and lean < 0.0 and not limited:
+        tapered = _in_shadow(slices, end, within, tapered)
     wall_mm3 = _WALL_STD * abs(lean) * max(outer[TOP], 0.0) * area
     half = 0.5 * reach * area
     blunt = Cap(half, 0.5 * reach, math.nan, BLUNT, 0.0, math.hypot(_BLUNT_STD * half, wall_mm3))
@@ -119,6 +121,30 @@ def _by_areas(slices: Slices, end: int, within: float) -> Cap:
         span = float(slices.t_mm[-1] - slices.t_mm[0])
         found = Cap(0.0, 0.0, math.nan, NO_CAP, 0.0, _OPEN_SHARE * area * span)
     return found._replace(std_mm3=math.hypot(found.std_mm3, _ends_std(slices, end)))
+
+
+def _in_shadow(slices: Slices, end: int, within: float, tapered: Cap) -> Cap:
+    """Give the taper of an open end that light passes over: the mean of `tapered` and an upright one.
+
+    Below the outer slice, which leans over the end, lies the end's own shadow, and the product may end in
+    it. So for the second, what is below the slice and beyond its surface is taken off, ½|lean|·∫ z² dy, and
+    the product goes on from the surface, by the taper of the seen areas at the places where the slices meet
+    it on average. Where no stripe beyond shows belt, the first is too large for steep ends (skeins of two
+    rigs by another renderer: +1.0 to +6.2 % of the volume), the second too small for gentle ones (of two
+    simulators: −0.1 to −2.7 %).
+    """
+    plane = slices.profiles.plane[slices.place]
+    area = slices.area_mm2 - slices.loose_mm2
+    x = slices.t_mm - plane[:, 2] / plane[:, 0] * slices.table[:, SQUARE] / area
+    if not (np.diff(x) > 0.0).all():
+        return tapered
+    within += abs(float(x[-end] - slices.t_mm[-end]))
+    volume, length, _, trust = taper_of(x, area, end, within, slices.limited[end])
+    if not trust > 0.0:
+        return tapered
+    shadow = -0.5 * abs(slices.lean[end]) * float(slices.table[-end, SQUARE])
+    upright = Cap(volume, length, tapered.slope_mm, TAPERED, shadow, _OPEN_TAPER_STD * volume)
+    return _mixed(upright, tapered, 0.5)
 
 
 def _mixed(one: Cap, other: Cap, trust: float) -> Cap:
@@ -134,7 +160,7 @@ def _mixed(one: Cap, other: Cap, trust: float) -> Cap:
     )
 
 
-def _within(slices: Slices, end: int) -> float:
+def within_mm(slices: Slices, end: int) -> float:
     """How far beyond the outer slice the end may lie, mm."""
     reach = slices.reach_mm[end]
     if slices.limited[end]:

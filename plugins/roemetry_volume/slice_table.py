@@ -34,7 +34,7 @@ class Slices(NamedTuple):
     of the area, what was bridged beyond the outermost points that were seen, and what a straight line fills
     over missing rows; what one over a hole would hold; half the ways to both neighbours."""
     table: Floats
-    """(n, 16) all columns of `roemetry_volume.slice_table`."""
+    """(n, 17) all columns of `roemetry_volume.slice_table`."""
     profiles: Profiles
     place: Integers
     """profiles, place: the points, in the order of the rows, and where each slice is in them, shape (n,)."""
@@ -178,7 +178,7 @@ def _in_rows(profiles: Profiles) -> Profiles:
 
 
 AT, AREA, SEEN, BRIDGED, FILLED, WIDTH, HOLE, TOP, LOW, COUNT, FIRST_ROW, LAST_ROW, CLEFT, LOOSE = range(14)
-OPEN, WALL = 14, 15
+OPEN, WALL, SQUARE = 14, 15, 16
 """Columns of the table: rest X (mm); area (mm²) and its parts by kind of point; width (mm); length left out
 as a hole (mm); highest and lowest Z (mm); number of points; first and last row (px); how deep the surface
 falls between two humps, over the lower one; area bridged beyond the outermost points that were seen, and that
@@ -229,13 +229,13 @@ def slice_areas(
 
     Returns
     -------
-    table : ndarray, shape (slice, 16)
+    table : ndarray, shape (slice, 17)
         Columns as named above; in the order of `Profiles`.
     ordered : bool
         False where a slice's points are not in the order of rows: then the table is not valid.
     """
     slices, points = product.shape
-    table = np.zeros((slices, 16))
+    table = np.zeros((slices, 17))
     # the product's points one after another: y, z, row, and 1 where they were seen
     on = np.empty((slices * points, 4))
     begin = np.zeros(slices + 1, np.int64)
@@ -323,7 +323,7 @@ def _area(
     widest = _GAP_SHARE * abs(on[count - 1, _Y] - on[0, _Y])
     fan = y0, slope_y, slope_z, wall
     # summed up here, not in the table: a write there would make all of the slice be read anew
-    width, area, on_seen, on_bridged, loose = 0.0, 0.0, 0.0, 0.0, 0.0
+    width, area, square, on_seen, on_bridged, loose = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     inwards = np.nan
     for m in range(count):
         y, z, row, is_seen = on[m, _Y], on[m, _Z], on[m, _ROW], on[m, _SEEN]
@@ -342,6 +342,7 @@ def _area(
         part = span * _weighed(y, z, fan)
         width += span
         area += part
+        square += span * z * z
         if is_seen > 0.0:
             on_seen += abs(part)
         else:
@@ -363,6 +364,7 @@ def _area(
             loose += abs(tail)
     out[WIDTH] += width
     out[AREA] += area
+    out[SQUARE] = square
     out[SEEN], out[BRIDGED], out[LOOSE] = on_seen, on_bridged, loose
 
 
@@ -537,7 +539,7 @@ def in_order(
         Half the ways to both neighbours, nothing beyond the outer ones.
     whole : ndarray of float64, shape (18,)
         As named above.
-    rows : ndarray of float64, shape (n, 16)
+    rows : ndarray of float64, shape (n, 17)
         The table's rows, sorted.
     columns : ndarray of float64, shape (16, n)
         The same by column, each in one piece.
