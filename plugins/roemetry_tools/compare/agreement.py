@@ -298,6 +298,12 @@ class Graded(NamedTuple):
         """Whether it was called what it is."""
         return self.given == self.true
 
+    @property
+    def stated_truly(self) -> bool:
+        """Whether it is what it was called, or is not what it was said not to be (`not-good`)."""
+        denied = self.given.removeprefix("not-")
+        return self.right or (denied != self.given and denied != self.true)
+
 
 class Recall(NamedTuple):
     """Of one class: products, share of them that was called so; share right of those that were called so.
@@ -382,7 +388,7 @@ def reliability_of(graded: Sequence[Graded], terms: Terms) -> Reliability | None
     if not stated:
         return None
     p = np.array([one.probability for one in stated])
-    right = np.array([one.right for one in stated], np.float64)
+    right = np.array([one.stated_truly for one in stated], np.float64)
     place = np.minimum((p * BINS).astype(np.int64), BINS - 1)
     bins = []
     for k in np.unique(place).tolist():

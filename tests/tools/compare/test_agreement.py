@@ -192,6 +192,12 @@ def test_all_of_a_specimen_is_in_one_fold() -> None:
     assert set(found.chosen) <= {3, 7}
 
 
+def test_what_is_not_of_a_class_is_truly_denied() -> None:
+    rows = graded([("dent", "not-good", 0.9), ("good", "not-good", 0.9), ("dent", "bend", 0.9)])
+    assert [one.stated_truly for one in rows] == [True, False, False]
+    assert not any(one.right for one in rows)
+
+
 @pytest.mark.filterwarnings("error")
 def test_one_specimen_measured_often_has_no_interval() -> None:
     assert agreement_of(np.zeros(4), list("abcd"), Terms(50.0)).verdict == "undecided", "too few products"
