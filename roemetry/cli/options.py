@@ -51,7 +51,7 @@ def cluster_option() -> Any:
 
 def executor_of(cluster: str | None, jobs: int) -> Executor:
     """Give what does the work: `jobs` processes, or the workers of a cluster."""
-    from roemetry.run.workers import Processes
+    from roemetry.run.executors import Processes
 
     if cluster is None:
         return Processes(jobs)

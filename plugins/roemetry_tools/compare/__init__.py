@@ -25,7 +25,6 @@ from roemetry_tools.compare.comparison import Measuring
 from roemetry_tools.compare.comparison import compare as compared_on
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.ranking import Compared
-from roemetry_tools.compare.stored_scores import KEPT, StoredScores
 from roemetry_tools.compare.tables import (
     across_sets,
     across_table,
@@ -36,7 +35,7 @@ from roemetry_tools.compare.tables import (
     verdicts_of,
 )
 from roemetry_tools.compare.variants import Variant, make_variants
-from roemetry_tools.compare.write import PAGE, SUMMARY, ItemsFile, write_comparison
+from roemetry_tools.compare.write import KEPT, PAGE, SUMMARY, ItemsFile, StoredScores, write_comparison
 
 
 def compare(

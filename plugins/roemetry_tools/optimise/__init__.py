@@ -29,10 +29,9 @@ from roemetry_tools.compare.comparison import Measuring, compare
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.ranking import Compared
 from roemetry_tools.compare.score import Scored
-from roemetry_tools.compare.stored_scores import KEPT, StoredScores
 from roemetry_tools.compare.tables import WORDS, warning_of
 from roemetry_tools.compare.variants import Space, Variant
-from roemetry_tools.compare.write import ItemsFile, write_comparison
+from roemetry_tools.compare.write import KEPT, ItemsFile, StoredScores, write_comparison
 from roemetry_tools.optimise.search import (
     TRIED,
     Search,

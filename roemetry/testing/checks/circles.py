@@ -14,7 +14,7 @@ from roemetry.records.view import STEEP_MAX
 from roemetry.stages import Calibrator, Coder, Extractor, Triangulator
 from roemetry.testing.cases import calibration_for, calibration_set_for
 from roemetry.testing.checks.points import require_it_survives_its_file
-from roemetry.testing.circles import CircleRig, level
+from roemetry.testing.patterns import CircleRig, level
 from roemetry.testing.scenes import frame_of
 from roemetry.testing.verdict import refused, require
 

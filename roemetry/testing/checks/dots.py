@@ -15,7 +15,7 @@ from roemetry.records.light import at_height
 from roemetry.stages import Calibrator, Coder, Extractor, Triangulator
 from roemetry.testing.cases import calibration_for, calibration_set_for
 from roemetry.testing.checks.points import require_it_survives_its_file
-from roemetry.testing.dots import DotRig
+from roemetry.testing.patterns import DotRig
 from roemetry.testing.scenes import SEED, frame_of
 from roemetry.testing.verdict import refused, require
 

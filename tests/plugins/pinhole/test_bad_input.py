@@ -15,7 +15,7 @@ from roemetry.config.rig import Rig
 from roemetry.errors import CalibrationError
 from roemetry.records import Board
 from roemetry.records.calibration import Calibration
-from roemetry.testing.dots import DotRig
+from roemetry.testing.patterns import DotRig
 from roemetry_pinhole.boards import Seen
 from roemetry_pinhole.conformance import dots_observed_of
 from roemetry_pinhole.initial_intrinsics import initial_camera

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from roemetry.calibrating.sphere_plate import fit_sphere
 from roemetry.errors import DataError
 from roemetry.records import NOTHING, Block, Profiles, SpherePlate, Staircase
-from roemetry.run.workers import Processes
+from roemetry.run.executors import Processes
 from roemetry_study.acceptance import Artefact, Value, decide, dispersion, measure, overall
 from roemetry_study.certificate import Certificate, Table, new_key, software_sha256, verify, write
 from roemetry_study.reports import of_acceptance

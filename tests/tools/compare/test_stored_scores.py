@@ -18,9 +18,9 @@ from roemetry.stages.registry import discover
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.score import Pair, Scored
-from roemetry_tools.compare.stored_scores import KEPT, StoredScores, _plain
 from roemetry_tools.compare.stripes import CentreScore, CodingScore
 from roemetry_tools.compare.variants import make_variants
+from roemetry_tools.compare.write import KEPT, StoredScores, _plain
 from tests.tools.compare.conftest import dataset
 
 __all__ = ["dataset"]
