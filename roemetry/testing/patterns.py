@@ -262,13 +262,13 @@ class CircleRig(LinearRig):
         )
         return peaks, stripe
 
-    def circle_map(self, x_px: Floats, product: int = 1) -> StripeMap:
-        """Give the true map of (stripe, row) places, all on a product or on the belt; NaN is not seen."""
+    def circle_map(self, x_px: Floats) -> StripeMap:
+        """Give the true map of (stripe, row) places, all on a product; NaN is not seen."""
         seen = np.isfinite(x_px)
         return StripeMap(
             x_px=x_px,
             x_std_px=np.where(seen, 0.1, np.nan),
-            product=np.where(seen, product, NOTHING).astype(np.int16),
+            product=np.where(seen, 1, NOTHING).astype(np.int16),
             seen=seen,
             margin=np.where(seen, 1.0, np.nan),
             ambiguous=np.zeros(x_px.shape, np.bool_),

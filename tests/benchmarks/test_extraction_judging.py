@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 
 from benchmarks import real
-from benchmarks.extraction import judging, methods, peers
+from benchmarks.extraction import drawing, judging, methods, peers
 from benchmarks.extraction.drawing import bound_px
-from benchmarks.real_images import folder_of, prepared
-
-drawing = pytest.importorskip("benchmarks.extraction.drawing", reason="only in a checkout")
-
+from benchmarks.real_images import folder_of, prepared, wheelset
 
 SIZE = (60, 400)
 
@@ -153,9 +150,6 @@ def test_every_extractor_is_compared_and_the_absent_is_told(monkeypatch) -> None
     names = {method.name for method in found if method.ours}
     assert {each for each, stage in methods.extractors() if not isinstance(stage, str)} == names
     assert "pip install" in left_out["ridge-detector"]
-
-
-wheelset = pytest.importorskip("benchmarks.real_images.wheelset", reason="only in a checkout")
 
 
 def test_absent_images_are_told(monkeypatch, tmp_path, capsys) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import fuzz, golden
+from benchmarks import fuzz, golden, spoil
 from benchmarks.disturbances import DISTURBANCES, OF_PLAIN, Scene, of_frames
 from benchmarks.faults import (
     Case,
@@ -201,9 +201,6 @@ def test_a_seed_makes_the_same_damage_again() -> None:
     content = bytes(range(256)) * 8
     one, other = (damaged(content, np.random.default_rng(seed)) for seed in (3, 3))
     assert one == other != content
-
-
-spoil = pytest.importorskip("benchmarks.spoil", reason="only in a checkout")
 
 
 SWAPPED = spoil.SPOILED[0]
