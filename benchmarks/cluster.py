@@ -34,7 +34,7 @@ import psutil
 from benchmarks.command import parser_of
 from roemetry import Recipe, run_recipe
 from roemetry.run.cluster import QUIET, Cluster
-from roemetry.run.workers import Processes
+from roemetry.run.executors import Processes
 
 _RECIPE = Path("recipes/herring_roe")
 _PORT = 28786

@@ -25,11 +25,11 @@ _STYLE = (
 )
 
 
-def imports_between_packages(root: Path = ROOT) -> dict[str, set[str]]:
+def imports_between_packages() -> dict[str, set[str]]:
     """Return, by package, the packages it imports from anywhere in its files, also inside functions."""
     found: dict[str, set[str]] = {}
-    for path in sorted([*root.glob("roemetry/*/**/*.py"), *root.glob("plugins/**/*.py")]):
-        parts = path.relative_to(root).with_suffix("").parts
+    for path in sorted([*ROOT.glob("roemetry/*/**/*.py"), *ROOT.glob("plugins/**/*.py")]):
+        parts = path.relative_to(ROOT).with_suffix("").parts
         own = _package(parts[1:] if parts[0] == "plugins" else parts)
         found.setdefault(own, set())
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):

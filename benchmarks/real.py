@@ -9,13 +9,14 @@ The images are not part of the project: the environment variable ROEMETRY_REAL_D
 pixels of the laser's channel at 250 or more, alone in its row: its middle is where a person puts the line.
 *Repeated*: the wall's rows do not move from frame to frame, so a centre's scatter over the frames is the
 extractor's; what a frame moves as a whole is taken off. *Boards*: a red line on twelve printed boards in room
-light, less the laser-off image as in a calibration, and by contrast alone; known is the line of
-`benchmarks.real_images.boards`. *Weld*: the line of `benchmarks.real_images.weld`. *Wheel set*: some twenty
+light, less the laser-off image as in a calibration, and by contrast alone; known is `line_on_board`.
+*Weld*: one line in a V groove, with reflections beside it; known is `line_of`. *Wheel set*: some twenty
 stripes on a curved part, against marks made by hand (`benchmarks.real_images.wheelset`).
 """
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -28,8 +29,6 @@ from numpy.typing import NDArray
 from benchmarks.command import parser_of
 from benchmarks.extraction.methods import there
 from benchmarks.real_images import folder_of, prepared
-from benchmarks.real_images.boards import POSES, line_on_board
-from benchmarks.real_images.weld import line_of
 from benchmarks.real_images.wheelset import wheelset
 from benchmarks.tables import Table, number, put_tables
 from roemetry.errors import RoemetryError
@@ -37,6 +36,81 @@ from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats
 from roemetry.stages import Extractor
 from roemetry_coding.single import Single
+
+LINE = ((2.0, 390.0), (518.0, 385.0), (735.0, 585.0)), ((818.0, 583.0), (1042.0, 389.0), (1278.0, 400.0))
+"""(x, y) of the line's corners in the image as it is, px: left flank, right flank."""
+_AROUND_PX, _CORNER_PX = 14, 6  # of the marks: where light is the line's; where two parts meet
+_ABOVE = 15.0  # grey levels above the column's median, that are light
+
+
+def line_of(image: NDArray[Any]) -> Floats:
+    """Give the line's y for each column of the weld's image, NaN where it has no light of its own.
+
+    The line was marked by hand: six points, straight between them; the bottom of the groove has no light of
+    its own. Speckle moves the middle of a single row's light by 0.4 to 0.7 px, so known is a parabola through
+    those middles along each straight part, looked at over the image eight times as large.
+    """
+    light = image.max(axis=2).astype(np.float64)
+    light = np.clip(light - np.median(light, axis=0) - _ABOVE, 0.0, None)
+    line = np.full(light.shape[1], np.nan)
+    for part in LINE:
+        for (begin, y_begin), (end, y_end) in itertools.pairwise(part):
+            columns = np.arange(int(begin), int(end) + 1)
+            marked = np.rint(np.interp(columns, (begin, end), (y_begin, y_end))).astype(np.int64)
+            rows = marked + np.arange(-_AROUND_PX, _AROUND_PX + 1)[:, None]
+            here = light[rows, columns]
+            middle = (here * rows).sum(axis=0) / np.maximum(here.sum(axis=0), 1.0)
+            kept = (here.sum(axis=0) > 0) & (columns > begin + _CORNER_PX) & (columns < end - _CORNER_PX)
+            for _ in range(5):
+                path = np.polyval(np.polyfit(columns[kept], middle[kept], 2), columns)
+                off = np.abs(middle - path)
+                kept &= off <= 3.0 * 1.4826 * float(np.median(off[kept]))
+            line[columns] = path
+    return line
+
+
+POSES = 12
+_PLATE = (-1.5, 7.5)
+
+
+def line_on_board(dark: NDArray[Any], lit: NDArray[Any]) -> Floats:
+    """Give the line's y for each column on the board, NaN beside it.
+
+    The board's width is known from its circles: the plate ends 1.5 pitches beyond the outer ones. The line's
+    place is a parabola through the brightest pixel of each column of the difference of all colours, fitted
+    without outliers: it comes from no extractor.
+    """
+    corner = circles(dark)
+    grid = np.stack(np.meshgrid(np.arange(7.0), np.arange(7.0)), axis=-1).reshape(-1, 2)
+    to_image, _ = cv2.findHomography(grid, corner)
+    to_board = np.linalg.inv(to_image)
+    light = np.clip(lit.astype(int) - dark, 0, 255).sum(axis=2).astype(np.float32)
+    light = cv2.GaussianBlur(light, (1, 9), 0)
+    columns = np.arange(lit.shape[1])
+    brightest = light.argmax(axis=0).astype(np.float64)
+    ends = cv2.perspectiveTransform(np.array([[[_PLATE[0], 3.0], [_PLATE[1], 3.0]]]), to_image)[0, :, 0]
+    inside = (columns > ends[0]) & (columns < ends[1])
+    kept = inside.copy()
+    for _ in range(6):
+        path = np.polyval(np.polyfit(columns[kept], brightest[kept], 2), columns)
+        off = np.abs(brightest - path)
+        kept = inside & (off <= max(3.0, 2.0 * float(np.median(off[inside]))))
+    board = cv2.perspectiveTransform(np.stack([columns, path], axis=1)[None], to_board)[0]
+    on_board = (board[:, 0] >= _PLATE[0]) & (board[:, 0] <= _PLATE[1])
+    return np.where(on_board, path, np.nan)
+
+
+def circles(dark: NDArray[Any]) -> NDArray[np.float32]:
+    """Find the 7 × 7 circles, row by row."""
+    settings = cv2.SimpleBlobDetector_Params()
+    settings.minArea, settings.maxArea = 200.0, 8000.0
+    grey, blobs = cv2.cvtColor(dark, cv2.COLOR_BGR2GRAY), cv2.SimpleBlobDetector_create(settings)
+    how = {"flags": cv2.CALIB_CB_SYMMETRIC_GRID, "blobDetector": blobs}
+    found, centres = cv2.findCirclesGrid(grey, (7, 7), **how)
+    if not found:
+        raise SystemExit("the circles of a board were not found")
+    return np.asarray(centres).reshape(-1, 2)
+
 
 _CORE, _CORE_PX = 250, 3  # grey level and pixels of a saturated core
 _FAR_PX = 3.0  # beside the core's middle: another line

@@ -198,13 +198,13 @@ def sphere_plate() -> tuple[SpherePlate, Triangles]:
     return plate, close(Triangles(points, number.reshape(-1, 3)))
 
 
-def silhouette(camera: Camera, solid: Solid, points: int = 400) -> Floats:
-    """Return the product's contour in the image, exact to a thousandth of a pixel, (points, 2) px."""
+def silhouette(camera: Camera, solid: Solid) -> Floats:
+    """Return the product's contour in the image, exact to a thousandth of a pixel, (400, 2) px."""
     body = solid.body()
     mask = _mask(body, camera.packed(), camera.rotation, (camera.height_px // 2, camera.width_px // 2))
     found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     chain = 2.0 * max(found, key=len)[:, 0, :].astype(np.float64)
-    return _refined(body, camera.packed(), camera.rotation, *_even(chain, points))
+    return _refined(body, camera.packed(), camera.rotation, *_even(chain, 400))
 
 
 def _even(chain: Floats, points: int) -> tuple[Floats, Floats]:

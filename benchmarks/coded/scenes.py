@@ -101,7 +101,7 @@ def easy_rig(seed: int | None = None, displacement: float = 1.3, *, planes: int 
     return _spaced(rig, displacement, vary)
 
 
-def dense_rig(seed: int | None = None, displacement: float = 2.5, *, planes: int = 21) -> CodingRig:
+def dense_rig(seed: int | None = None) -> CodingRig:
     """Give the dense rig: 21 stripes, wide angle, camera and projector near, speckle; see `easy_rig`."""
     vary, side = _drawing(seed, 202)
     camera = looking_down(
@@ -109,8 +109,8 @@ def dense_rig(seed: int | None = None, displacement: float = 2.5, *, planes: int
         tilt_x_deg=vary(2.0, 3.0), tilt_y_deg=vary(-1.0, 3.0),
     )  # fmt: skip
     projector = (side * 110.0 * vary(1.0, 0.15), vary(-5.0, 15.0), 190.0 * vary(1.0, 0.1))
-    rig = _rig("dense", camera, projector, 5.0, planes, vary, sigma_mm=0.22, noise_px=0.25)
-    return _spaced(rig, displacement, vary)
+    rig = _rig("dense", camera, projector, 5.0, 21, vary, sigma_mm=0.22, noise_px=0.25)
+    return _spaced(rig, 2.5, vary)
 
 
 Vary = Callable[[float, float], float]

@@ -253,6 +253,6 @@ def _body(body: Row) -> list[str]:
     return [volume, held, f"{label['right'] / seen:.2%}", f"{label['wrong'] / seen:.3%}", grade]
 
 
-def _shortened(text: str, length: int = 70) -> str:
+def _shortened(text: str) -> str:
     """Give the beginning of a sentence; all of it stands in the JSON."""
-    return text if len(text) <= length else text[:length].rsplit(" ", 1)[0] + " …"
+    return text if len(text) <= 70 else text[:70].rsplit(" ", 1)[0] + " …"

@@ -126,7 +126,7 @@ def history(
     charts = charts_of(table, figure, loaded.name, station, since_s)
     checks = {one.name: _checks(loaded, one) for one in loaded.stations if station in (None, one.name)}
     if report is not None:
-        from roemetry_line.history_page import history_page
+        from roemetry_line.control_charts import history_page
 
         write_whole(report, history_page(loaded.name, station, since_s, counts, charts, checks))
         typer.echo(f"{report}", err=as_json)

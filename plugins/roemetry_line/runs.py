@@ -37,9 +37,9 @@ FRAMES_MAX = 50_000
 _IMAGES = "images"
 
 
-def new_run(home: Path, station: str, now: datetime | None = None) -> Path:
+def new_run(home: Path, station: str) -> Path:
     """Make the folder of a new run; its name begins with the station and has the time."""
-    begun = f"{now or datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+    begun = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
     for number in range(1, 1000):
         folder = home / station / (f"{station}-{begun}" + (f"-{number}" if number > 1 else ""))
         make_folder(folder.parent)

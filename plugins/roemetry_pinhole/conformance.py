@@ -16,8 +16,7 @@ from roemetry_pinhole.pinhole_plane import METHOD, derived, flat
 
 if TYPE_CHECKING:
     from roemetry.testing import LinearRig
-    from roemetry.testing.circles import CircleRig
-    from roemetry.testing.dots import DotRig
+    from roemetry.testing.patterns import CircleRig, DotRig
     from roemetry.testing.scenes import GridRig
 
 
@@ -225,7 +224,7 @@ def _peaks(rig: LinearRig, crossings: Floats) -> Peaks:
 
 def dots_of(rig: DotRig) -> Calibration:
     """Give the calibration of a rig with dots: a pinhole camera that is so far away as that of lines."""
-    from roemetry.testing.dots import exact_rays
+    from roemetry.testing.patterns import exact_rays
     from roemetry_pinhole.dot_rays import METHOD as DOTS
     from roemetry_pinhole.dot_rays import view_of as dots_view_of
 
@@ -315,7 +314,7 @@ def circles_of(rig: CircleRig) -> Calibration:
 @lru_cache(maxsize=4)
 def circles_observed_of(rig: CircleRig) -> CalibrationSet:
     """Give a chessboard in many poses under circles that scatter a little, and the belt."""
-    from roemetry.testing.circles import level
+    from roemetry.testing.patterns import level
 
     none = rig.circle_peaks(np.full((rig.stripes, rig.rows), np.nan))[0]
     observations = [_belt(rig, rig.circle_peaks(rig.x_on_rows(level), _SCATTER_PX)[0])]

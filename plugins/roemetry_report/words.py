@@ -77,9 +77,9 @@ def marked(text: str) -> Markup:
     return Markup("").join(coded)
 
 
-def counted(count: int, one: str, many: str | None = None) -> str:
+def counted(count: int, one: str) -> str:
     """Write a count with its noun."""
-    return f"{count} {one if count == 1 else many or one + 's'}"
+    return f"{count} {one if count == 1 else one + 's'}"
 
 
 def feature(name: str, figure: float, std: float = math.nan) -> tuple[str, str]:

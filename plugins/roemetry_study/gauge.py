@@ -23,8 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roemetry.errors import DataError, InterruptedRunError
-from roemetry.run.executors import Executor, Lost
-from roemetry.run.workers import Processes
+from roemetry.run.executors import Executor, Lost, Processes
 from roemetry_study.table import Reading, StudyTable
 from roemetry_study.variance import Effect, analyse, average_range
 

@@ -118,10 +118,10 @@ def evaluate(
     return Evaluation(gum, freedom, parts, found, validated)
 
 
-def shortest_interval(drawn: Floats, coverage: float = COVERAGE) -> tuple[float, float]:
-    """Give the shortest interval with so much of the draws (JCGM 101, clause 7.7)."""
+def shortest_interval(drawn: Floats) -> tuple[float, float]:
+    """Give the shortest interval with `COVERAGE` of the draws (JCGM 101, clause 7.7)."""
     ordered = np.sort(drawn)
-    within = round(coverage * ordered.size)
+    within = round(COVERAGE * ordered.size)
     first = int((ordered[within:] - ordered[: ordered.size - within]).argmin())
     return float(ordered[first]), float(ordered[first + within])
 

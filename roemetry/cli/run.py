@@ -75,7 +75,7 @@ def run(
     Exit code: 0 all measured; 1 some products failed (their rows say why); 2 the recipe, the calibration or
     the command line is wrong.
     """
-    from roemetry.cli.progress import COMPILING, progress
+    from roemetry.cli.options import COMPILING, progress
     from roemetry.cli.warm_up import warm_up
     from roemetry.config.overrides import Implied
     from roemetry.config.recipe import Recipe
@@ -182,7 +182,6 @@ def _written(outcome: Outcome) -> Iterator[str]:
 def _show(recipe: Recipe, outcome: Outcome) -> None:
     from rich.console import Console
 
-    from roemetry.cli.run import problems_of, table_of
     from roemetry.run.record import read_record
 
     console = Console()
@@ -199,9 +198,7 @@ def _show(recipe: Recipe, outcome: Outcome) -> None:
 
 def _show_profile(outcome: Outcome) -> None:
     """Print where the time of an acquisition goes, and how much memory was held at most."""
-    from rich.box import SIMPLE_HEAD
     from rich.console import Console
-    from rich.table import Table
 
     from roemetry.run.record import PROVENANCE
 

@@ -136,8 +136,9 @@ class Scene:
         return told, files
 
 
-def _files_in(data: Any, at: tuple[Step, ...] = ("simulator", "options")) -> Iterator[tuple[Any, str]]:
+def _files_in(data: Any) -> Iterator[tuple[Any, str]]:
     """Give every key called ``file`` among a simulator's options, and the path it names."""
+    at = ("simulator", "options")
     for step in at:
         data = data.get(step) if isinstance(data, dict) else None
     waiting: list[tuple[tuple[Step, ...], Any]] = [(at, data)]

@@ -3,7 +3,22 @@
 from roemetry.records.acquisition import Acquisition, AcquisitionReference, Frame, Role, ScanLines, Sensor
 from roemetry.records.calibration import Alignment
 from roemetry.records.light import Dots, Rays
-from roemetry.records.measurement import Coding, Measurement, Status
+from roemetry.records.measurement import (
+    Coding,
+    Decision,
+    Estimate,
+    Grade,
+    ImageArrows,
+    Measurement,
+    Relief,
+    ReliefMap,
+    ReliefRegion,
+    Shares,
+    Status,
+    Surface,
+    Volume,
+    Weight,
+)
 from roemetry.records.observations import (
     Block,
     Board,
@@ -21,19 +36,6 @@ from roemetry.records.observations import (
     SpherePlate,
     Staircase,
     TargetView,
-)
-from roemetry.records.outcome import (
-    Decision,
-    Estimate,
-    Grade,
-    ImageArrows,
-    Relief,
-    ReliefMap,
-    ReliefRegion,
-    Shares,
-    Surface,
-    Volume,
-    Weight,
 )
 from roemetry.records.plan import (
     Plan,

@@ -15,7 +15,7 @@ from roemetry.records.acquisition import Acquisition, Frame
 from roemetry.records.arrays import Checker, Floats
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.records.display import Shown, estimate, picture_of_stripes, picture_of_surface, table
-from roemetry.records.outcome import Decision, Estimate, Grade, Surface, Volume, Weight
+from roemetry.records.measurement import Decision, Estimate, Grade, Surface, Volume, Weight
 from roemetry.records.profiles import Profiles
 from roemetry.records.reasons import Reason
 from roemetry.records.stripes import Peaks, StripeMap

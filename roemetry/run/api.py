@@ -15,9 +15,9 @@ from roemetry.errors import DataError
 from roemetry.records import Acquisition, Frame, Measurement, Reason, Role, Trace
 from roemetry.run.batch import measure_all
 from roemetry.run.control_chart import calibration_doubts
+from roemetry.run.executors import Processes
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.rows import measurements_of, seen_of
-from roemetry.run.workers import Processes
 
 
 @dataclass(frozen=True, repr=False)

@@ -28,12 +28,21 @@ from roemetry.io.remote import Url, read_ahead
 from roemetry.records import AcquisitionReference, Reason, Trace
 from roemetry.records.arrays import Floats
 from roemetry.records.display import thinned
-from roemetry.run.executors import Executor, Lost
-from roemetry.run.parts import INDEX, Parts, copied, in_bucket
+from roemetry.run.executors import Executor, Lost, Processes
 from roemetry.run.pipeline import Pipeline, frame_of
-from roemetry.run.record import PROVENANCE, RECORD, acquisitions_to_keep, read_record, rows_of, summed_up
+from roemetry.run.record import (
+    INDEX,
+    PROVENANCE,
+    RECORD,
+    Parts,
+    acquisitions_to_keep,
+    copied,
+    in_bucket,
+    read_record,
+    rows_of,
+    summed_up,
+)
 from roemetry.run.rows import failed, measurements_of, seen_of
-from roemetry.run.workers import Processes
 from roemetry.stages import Run
 
 

@@ -28,9 +28,8 @@ from roemetry.errors import InterruptedRunError, OutputError
 from roemetry.io.files import exclusive, make_folder, write_whole
 from roemetry.io.yaml_source import dump
 from roemetry.records import Frame, Role
-from roemetry.run.executors import Executor, Lost
+from roemetry.run.executors import Executor, Lost, Processes
 from roemetry.run.pace import OnProgress, Pace, silent
-from roemetry.run.workers import Processes
 from roemetry.stages import Simulator
 
 Calibration = Literal["none", "basic", "charuco", "all"]

@@ -44,9 +44,7 @@ from roemetry.stages import (
     Weigher,
 )
 from roemetry.stages.kinds import check_result_type
-from roemetry.testing.belts import SHIFT, belt_under
-from roemetry.testing.circles import CircleRig, level
-from roemetry.testing.dots import DotRig
+from roemetry.testing.patterns import SHIFT, CircleRig, DotRig, belt_under, level
 from roemetry.testing.runs import failed, measured, run_of, volume_of
 from roemetry.testing.scenes import SEED, GridRig, LinearRig, frame_of
 from roemetry.testing.solids import BOX, HALF_ELLIPSOID, product_from, product_of

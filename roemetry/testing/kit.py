@@ -116,13 +116,13 @@ def prepare_stage(
     return stage, expected
 
 
-def stages_named(name: str, registry: Registry | None = None) -> tuple[Registered, ...]:
+def stages_named(name: str) -> tuple[Registered, ...]:
     """Give the installed stages of a name, or raise PluginError with a close match.
 
     A stage (``dominant-peak``, ``extractor/dominant-peak``, ``paper/dominant-peak``), or whose stages: an
     entry point or a distribution.
     """
-    registry = discover() if registry is None else registry
+    registry = discover()
     found = tuple(stage for stage in registry.stages if name in _names(stage))
     if found:
         return found

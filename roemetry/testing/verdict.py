@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from roemetry.errors import FAULTS, RoemetryError
+from roemetry.records.arrays import Floats
 
 
 class CheckFailedError(AssertionError):
@@ -22,6 +23,12 @@ def require(condition: bool | object, found: str) -> None:
     """Go on if the condition holds, else say what was found."""
     if not condition:
         raise CheckFailedError(found)
+
+
+def within(off: Floats | float, limit: float, what: str, unit: str = "px") -> None:
+    """Require that no error exceeds what the stage declares; NaN is none that does not."""
+    worst = float(np.max(off, initial=0.0))
+    require(worst <= limit, f"{what} up to {worst:.3g} {unit}, {limit:g} {unit} are declared")
 
 
 @contextmanager

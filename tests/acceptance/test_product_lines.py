@@ -1,4 +1,4 @@
-"""Every shipped product line gives, on its own images, the numbers of its page, and is near the truth."""
+"""Every shipped product line and the recipe by words give the numbers of its page and are near the truth."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from roemetry.calibrating import calibrate
 from roemetry.config.dataset import Dataset
 from roemetry.config.rig import Rig
 from roemetry.records.calibration import Calibration
+from roemetry.run.pipeline import Pipeline
 
 HOME = Path(__file__).resolve().parents[2] / "recipes"
 
@@ -71,3 +72,45 @@ def test_the_stated_calibration_is_the_one_of_the_images(line: str) -> None:
 
 def test_images_and_truth_are_whole(line: str) -> None:
     assert list(Dataset(HOME / line / "data").faults()) == []
+
+
+RECIPE = Path(__file__).resolve().parents[2] / "recipes" / "herring_roe" / "by_words.yaml"
+
+CALLED = {
+    "skein_01": "good",
+    "skein_03": "dent",
+    "skein_05": "bend",
+    "skein_06": "twist",
+    "skein_07": "fold",
+    "skein_08": "good",
+}
+"""Of each kind one. The dent of skein 4 lies between stripes; the end of skein 10 is broken off smoothly."""
+
+
+@pytest.fixture(scope="module")
+def pipeline() -> Pipeline:
+    return Pipeline(Recipe.load(RECIPE))
+
+
+@pytest.mark.parametrize(("skein", "label"), CALLED.items())
+def test_words_about_outline_and_heights_name_what_is_there(
+    skein: str, label: str, pipeline: Pipeline
+) -> None:
+    source = pipeline.recipe.source.make()
+    (reference,) = (one for one in source.references(pipeline.recipe.source_path) if one.id == skein)
+    grade = pipeline.trace(source.read(reference)).products[0].grade
+    assert grade.label == label
+    assert grade.features[f"truth_{label}"] == max(
+        value for name, value in grade.features.items() if name.startswith("truth_")
+    )
+
+
+def test_the_bent_one_is_told_by_its_outline_alone(pipeline: Pipeline) -> None:
+    """Without the plain-light image's outline the words about it are missing, and that is said."""
+    blind = Recipe.load(RECIPE, sets=["stages.outliner=null", "stages.volume=slice-pchip"])
+    source = blind.source.make()
+    reference = next(iter(source.references(blind.source_path)))
+    grade = Pipeline(blind).trace(source.read(reference)).products[0].grade
+    assert grade.label == "unknown"
+    assert grade.reasons[0].code == "no-such-feature"
+    assert "convexity" in grade.reasons[0].text

@@ -1,13 +1,16 @@
-"""Disturbed images are held or refused; the nightly form is `python -m benchmarks faults`."""
+"""Small forms of the benchmarks faults, fuzz, spoil and golden."""
 
 from __future__ import annotations
 
 import argparse
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks import fuzz, golden, spoil
 from benchmarks.disturbances import DISTURBANCES, OF_PLAIN, Scene, of_frames
 from benchmarks.faults import (
     Case,
@@ -22,9 +25,12 @@ from benchmarks.faults import (
     summary,
     verdicts,
 )
+from benchmarks.fuzz import Target, damaged, fault_of, fuzzed
 from benchmarks.kills import killed
 from roemetry import Recipe
 from roemetry.records import Frame, ScanLines
+from roemetry.testing import LinearRig
+from roemetry_pinhole.conformance import calibration_of
 
 SKEINS = "recipes/herring_roe/with_outline.yaml"
 
@@ -169,3 +175,117 @@ def test_what_states_no_volume_is_said_in_words(
 def test_killed_runs_that_contend_for_a_folder_lose_no_row_and_double_none(tmp_path: Path) -> None:
     recipe = Recipe.load("recipes/herring_roe/recipe.yaml", sets=["sinks=[csv]", "draws=0"])
     assert killed(recipe, tmp_path, kills=6, seed=3)[0] == []
+
+
+def test_five_hundred_damaged_files_neither_crash_nor_hang() -> None:
+    assert fuzzed(500, seed=1) == []
+
+
+def test_the_fuzzer_sees_what_it_looks_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "any"
+    path.write_bytes(b"")
+
+    def crash(_: object) -> object:
+        raise KeyError("lost")
+
+    assert fault_of(Target("sound", path, lambda _: None), path) == ""
+    assert "KeyError" in fault_of(Target("crash", path, crash), path)
+    monkeypatch.setattr(fuzz, "HANG_S", 0.01)
+    assert "processor time" in fault_of(Target("slow", path, lambda _: sum(range(10_000_000))), path)
+    monkeypatch.setattr(fuzz, "HANG_S", 60.0)
+    monkeypatch.setattr(fuzz, "_peak_mb", iter((100.0, 700.0)).__next__)
+    assert fault_of(Target("flood", path, lambda _: None), path) == "600 MB more memory"
+
+
+def test_a_seed_makes_the_same_damage_again() -> None:
+    content = bytes(range(256)) * 8
+    one, other = (damaged(content, np.random.default_rng(seed)) for seed in (3, 3))
+    assert one == other != content
+
+
+SWAPPED = spoil.SPOILED[0]
+
+
+def shots() -> spoil.Shots:
+    rng = np.random.default_rng(1)
+    images = {
+        shows: {str(n): rng.integers(0, 255, (40, 60), np.uint8) for n in range(8)}
+        for shows in ("board", "board_laser")
+    }
+    rig = {"stripes": 5, "board": {"name": "b", "pitch_mm": 8.0, "marker_mm": 6.0}, "images": {}}
+    return spoil.Shots(rig, images)
+
+
+@pytest.mark.parametrize("kind", spoil.SPOILED, ids=lambda kind: kind.name)
+def test_each_kind_changes_the_rig_or_images_and_never_the_first_pose(kind: spoil.Kind) -> None:
+    before, after = shots(), shots()
+    kind.spoil(after, np.random.default_rng(2))
+    changed = before.rig != after.rig
+    for shows, images in before.images.items():
+        for pose, image in images.items():
+            changed |= not np.array_equal(image, after.images[shows].get(pose, np.empty(0)))
+    assert changed
+    if kind.name != "five poses of one plane":
+        assert all(np.array_equal(before.images[one]["0"], after.images[one]["0"]) for one in before.images)
+
+
+def test_a_refusal_counts_by_its_words() -> None:
+    sound = calibration_of(LinearRig())
+    assert spoil.judged(SWAPPED, "the poses contradict each other", sound, ["3"]).word == "refused"
+    assert spoil.judged(SWAPPED, "it is too dark", sound, ["3"]).word == "other words"
+    assert spoil.judged(spoil.SOUND[0], "it is too dark", sound, []).word == "refused"
+
+
+def test_what_is_accepted_counts_by_what_is_told_and_by_its_heights() -> None:
+    sound = calibration_of(LinearRig())
+    wrong = replace(sound, parameters=sound.parameters | {"focal_px": 1.1 * sound.parameters["focal_px"]})
+    assert spoil.judged(SWAPPED, (sound, ""), sound, ["3"]).word == "harmless"
+    assert spoil.judged(SWAPPED, (wrong, ""), sound, ["3"]).word == "missed"
+    assert spoil.judged(spoil.SOUND[0], (wrong, ""), sound, []).word == "missed"
+    told = replace(wrong, notes=("not used: on_3.png: too dark", "not used: on_5.png: too dark"))
+    assert spoil.judged(SWAPPED, (told, ""), sound, ["3", "5"]).word == "reported"
+    assert spoil.judged(SWAPPED, (told, ""), sound, ["3", "6"]).word == "missed"
+    # what is told of the sound set as well tells nobody anything
+    always = replace(sound, notes=("stripes and board corners contradict each other",))
+    assert spoil.judged(SWAPPED, (replace(wrong, notes=always.notes), ""), always, ["3"]).word == "missed"
+
+
+def test_two_boards_are_written_with_their_own_images(tmp_path: Path) -> None:
+    two = shots()
+    kind = next(kind for kind in spoil.SPOILED if kind.name == "second board's pitch 2 % wrong")
+    kind.spoil(two, np.random.default_rng(1))
+    text = spoil._written(two, tmp_path).read_text("utf-8")
+    assert "more_boards" in text
+    assert len(list((tmp_path / "second_board").iterdir())) == 3
+    assert len(list((tmp_path / "board").iterdir())) == 5
+
+
+@pytest.mark.parametrize("name", golden.RECIPES)
+def test_a_shipped_recipe_says_what_it_said(name: str) -> None:
+    """`python -m benchmarks golden --write` writes them anew, where numbers are meant to change."""
+    expected = json.loads(golden.file_of(name).read_text("utf-8"))
+    found = json.loads(json.dumps(golden.records(name)))
+    assert list(golden.differences(expected, found, name)) == []
+
+
+def test_every_shipped_recipe_has_golden_records() -> None:
+    """A new recipe is frozen, too."""
+    paths = (golden.ROOT / "recipes").glob("*/*.yaml")
+    recipes = {f"{p.parent.name}/{p.stem}" for p in paths if "\nstages:" in p.read_text("utf-8")}
+    assert recipes == set(golden.RECIPES)
+
+
+@pytest.mark.parametrize(
+    ("expected", "found", "many"),
+    [
+        ({"a": 1.0}, {"a": 1.0 + 1e-9}, 0),
+        ({"a": 1.0}, {"a": 1.0 + 1e-5}, 1),
+        ({"a": None}, {"a": 1.0}, 1),
+        ({"a": 1.0}, {"b": 1.0}, 2),
+        (["good"], ["dent"], 1),
+        ([1.0, 2.0], [1.0], 1),
+    ],
+)
+def test_differences_are_seen(expected: object, found: object, many: int) -> None:
+    """The comparison itself."""
+    assert len(list(golden.differences(expected, found, "x"))) == many

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks import wheelset
 from roemetry.records import Peaks
 from roemetry_coding.pieces import Pieces
-
-wheelset = pytest.importorskip("benchmarks.wheelset", reason="only in a checkout")
 
 
 def slanting(off_spacings: float = 0.0) -> Peaks:

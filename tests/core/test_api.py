@@ -46,7 +46,7 @@ def test_a_program_measures_arrays_files_and_dictionaries_as_a_run_does(
 
 UNGUARDED = """
 import operator
-from roemetry.run.workers import Processes
+from roemetry.run.executors import Processes
 print(list(Processes(2).in_order(operator.attrgetter, ("real",), (1, 2, 3))))
 """
 

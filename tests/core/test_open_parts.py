@@ -1,4 +1,4 @@
-"""What is open of each product: refused peaks on it, not those on the belt or beside other products."""
+"""What is open of a product; a rig that moves in the course of a run; frames with faults of transport."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 
 from roemetry import Recipe
-from roemetry.records import AMBIGUOUS, Estimate, Outline, Peaks, Shares, StripeMap, Volume
+from roemetry.errors import DataError
+from roemetry.records import AMBIGUOUS, Estimate, Frame, Outline, Peaks, Shares, StripeMap, Volume
 from roemetry.run.open_parts import open_parts, widened
+from roemetry.run.record import MotionTrend
+from roemetry.run.transport_faults import check_joins, check_lines
 
 REST_PX = np.linspace(50.0, 450.0, 9)[:, None] + np.zeros(200)
 """(stripe, row) rest lines 50 px apart."""
@@ -120,3 +123,94 @@ def test_belt_outside_a_bent_products_outline_is_not_the_products() -> None:
                      [right - 9, 61], [left + 9, 61], [left + 9, 141], [left - 9, 141]])  # fmt: skip
     assert open_parts(peaks, stripes)[1].points == 80
     assert open_parts(peaks, stripes, (Outline(product=1, xy_px=bent.astype(np.float64)),))[1].points <= 2
+
+
+def told(motion_px: np.ndarray) -> str:
+    trend = MotionTrend()
+    for number, motion in enumerate(motion_px):
+        trend.add(f"image_{number:03d}", tuple(motion.tolist()))
+        trend.add(f"image_{number:03d}", tuple(motion.tolist()))  # a second product's row
+    return "" if trend.reason is None else trend.reason.text
+
+
+def test_a_rig_that_stands_still_is_not_told(rng: np.random.Generator) -> None:
+    assert all(told(rng.normal(0.3, 0.03, (400, 4))) == "" for _ in range(20))
+
+
+@pytest.mark.parametrize(("part", "said"), [(0, "shifts along x"), (1, "turns"), (2, "grows"), (3, "tilts")])
+def test_a_rig_that_creeps_is_told_from_its_beginning(part: int, said: str, rng: np.random.Generator) -> None:
+    motion_px = rng.normal(0.0, 0.03, (120, 4))
+    motion_px[60:, part] -= 0.01 * np.arange(60)
+    text = told(motion_px)
+    since = int(text.split("image_")[1][:3])
+    assert said in text and " -0." in text
+    assert 55 <= since <= 75
+
+
+def test_few_images_say_nothing(rng: np.random.Generator) -> None:
+    assert told(np.linspace(0.0, 3.0, 8)[:, None] * np.ones(4)) == ""
+
+
+ROWS, COLUMNS = 1280, 400
+
+
+def line_at(x_px: float, rng: np.random.Generator) -> np.ndarray:
+    """Give a frame with one upright line on ground with noise."""
+    columns = np.arange(COLUMNS)
+    light = 11.0 + 180.0 * np.exp(-0.5 * ((columns - x_px) / 1.8) ** 2)
+    return np.clip(np.rint(light + rng.normal(0.0, 1.2, (ROWS, COLUMNS))), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("x_px", [150.0, 199.5, 200.25])
+def test_a_whole_frame_with_a_line_is_no_join(x_px: float, rng: np.random.Generator) -> None:
+    frame = line_at(x_px, rng)
+    check_joins(Frame(frame))
+    frame[500:, 200:] = line_at(x_px, rng)[500:, 200:]
+    check_joins(Frame(frame))  # the same line goes on: nothing breaks off
+
+
+def test_noise_in_a_dark_frame_is_no_join(rng: np.random.Generator) -> None:
+    """Noise as large as a step has to be; black clips half of it."""
+    for _ in range(20):
+        light = 4.0 + 95.0 * np.exp(-0.5 * ((np.arange(200) - 99.3) / 1.6) ** 2)
+        grey = np.clip(np.rint(light + rng.normal(0.0, 7.0, (200, 200))), 0, 255).astype(np.uint8)
+        check_joins(Frame(grey))
+    grey[:, 99:] = np.roll(grey, 40, axis=1)[:, 99:]
+    with pytest.raises(DataError, match="between the columns|between the rows"):
+        check_joins(Frame(grey))
+
+
+@pytest.mark.parametrize("share", [0.06, 0.2, 1.0])
+@pytest.mark.parametrize("together", [True, False])
+def test_columns_that_are_joined_in_some_rows_are_found(
+    share: float, together: bool, rng: np.random.Generator
+) -> None:
+    """A part of another frame, in rows one after the other or here and there, begins in its line."""
+    frame, other = line_at(100.0, rng), line_at(200.0, rng)
+    many = round(share * ROWS)
+    rows = np.arange(many) if together else rng.choice(ROWS, many, replace=False)
+    frame[rows, 200:] = other[rows, 200:]
+    with pytest.raises(DataError, match="between the columns 199 and 200|between the rows"):
+        check_joins(Frame(frame))
+
+
+@pytest.mark.parametrize("rows", [slice(1, None, 2), slice(0, None, 2), slice(1, None, 4), slice(3, None, 4)])
+@pytest.mark.parametrize("height", [600, ROWS])
+def test_columns_that_are_joined_in_every_so_many_rows_are_found(
+    rows: slice, height: int, rng: np.random.Generator
+) -> None:
+    """One field of an interlaced frame is another frame's."""
+    frame, other = line_at(100.0, rng)[:height], line_at(200.0, rng)[:height]
+    frame[rows, 200:] = other[rows, 200:]
+    with pytest.raises(DataError, match="between the columns 199 and 200"):
+        check_joins(Frame(frame))
+
+
+def test_a_speck_in_the_dark_beside_one_line_is_no_end_of_filled_columns(rng: np.random.Generator) -> None:
+    """Little read noise leaves all columns but those of the line at one level."""
+    columns = np.arange(200.0)
+    lit = 90.0 * np.exp(-0.5 * ((columns - 60.0) / 2.0) ** 2) * rng.uniform(0.9, 1.1, (160, 1))
+    pixels = (4.0 + lit).astype(np.uint8)
+    check_lines(Frame(pixels, name="dark"))
+    pixels[80, 137] = 255
+    check_lines(Frame(pixels, name="a speck"))

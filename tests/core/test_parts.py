@@ -13,7 +13,7 @@ import pytest
 from roemetry.config.recipe import Recipe
 from roemetry.errors import DataError, OutputError
 from roemetry.io.remote import Url, folder_for
-from roemetry.run import parts
+from roemetry.run import record
 from roemetry.run.batch import derive, run_recipe
 from roemetry.run.record import read_record, recipe_of, rows_of
 from tests.command import exit_code
@@ -26,7 +26,7 @@ class StoppedError(Exception):
 @pytest.fixture
 def bucket(monkeypatch: pytest.MonkeyPatch) -> Url:
     """A folder in a bucket that takes a part for every two rows."""
-    monkeypatch.setattr(parts, "_ROWS", 2)
+    monkeypatch.setattr(record, "_ROWS", 2)
     system = fsspec.filesystem("memory")
     if system.exists("/plant"):
         system.rm("/plant", recursive=True)
@@ -39,7 +39,7 @@ def recipe(line) -> Recipe:
 
 
 def record_in(bucket: Url) -> bytes:
-    return b"".join(parts.bytes_of(bucket, part) for part in parts.parts_of(bucket))
+    return b"".join(record.bytes_of(bucket, part) for part in record.parts_of(bucket))
 
 
 def stop_after(count: int):
@@ -54,7 +54,7 @@ def test_the_record_in_parts_is_that_of_a_folder(recipe, bucket, tmp_path) -> No
     run_recipe(recipe, tmp_path / "here")
     outcome = run_recipe(recipe, bucket)
     assert record_in(bucket) == (tmp_path / "here" / "measurements.jsonl").read_bytes()
-    assert [(one.rows, one.lowest, one.highest) for one in parts.parts_of(bucket)] == [
+    assert [(one.rows, one.lowest, one.highest) for one in record.parts_of(bucket)] == [
         (2, "p01", "p02"),
         (2, "p03", "p04"),
         (1, "p05", "p05"),
@@ -76,10 +76,10 @@ def test_a_run_that_was_stopped_goes_on_from_its_last_part(
     run_recipe(recipe, tmp_path / "here")
     with monkeypatch.context() as patch, pytest.raises(StoppedError):
         if machine_is_gone:
-            patch.setattr(parts, "_ROWS", 3)
-            patch.setattr(parts.Parts, "close", lambda self: None)
+            patch.setattr(record, "_ROWS", 3)
+            patch.setattr(record.Parts, "close", lambda self: None)
         run_recipe(recipe, bucket, on_progress=stop_after(3))
-    assert sum(one.rows for one in parts.parts_of(bucket)) == (0 if machine_is_gone else 3)
+    assert sum(one.rows for one in record.parts_of(bucket)) == (0 if machine_is_gone else 3)
     run_recipe(recipe, bucket, resume=True)
     assert record_in(bucket) == (tmp_path / "here" / "measurements.jsonl").read_bytes()
 
@@ -88,7 +88,7 @@ def test_what_reads_runs_reads_parts(recipe, bucket, tmp_path) -> None:
     run_recipe(recipe, bucket)
     (row,) = rows_of(bucket, "p03#1")
     assert row.acquisition == "p03"
-    read = list(parts.parts_of(bucket))
+    read = list(record.parts_of(bucket))
     (bucket / read[0].file).put(_file(tmp_path / "damaged", b"{}\n"))
     assert [one.id for one in rows_of(bucket, "p03")] == ["p03#1"]  # no other part is read
     with pytest.raises(OutputError, match="there is no product `p09`"):

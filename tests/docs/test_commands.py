@@ -13,14 +13,30 @@ import shutil
 import sys
 import tomllib
 from collections.abc import Iterator
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from docs.reference_tables import rewritten
 from roemetry.cli.main import app
-from tests.docs.reading import PAGES, ROOT, VERBS, commands, stands_for_something, titled
+from roemetry.stages import StageOptions
+from roemetry.stages.registry import discover
+from tests.docs.reading import (
+    PAGES,
+    ROOT,
+    VERBS,
+    blocks,
+    coded,
+    commands,
+    page,
+    section,
+    stands_for_something,
+    table,
+    titled,
+)
 from tests.docs.world import make_world, multiply, scale
 
 SMALLER = (
@@ -173,3 +189,54 @@ def _make_known(folder: Path, clone: Path, monkeypatch: pytest.MonkeyPatch) -> N
     )
     monkeypatch.syspath_prepend(str(folder))
     monkeypatch.syspath_prepend(str(known))
+
+
+def test_the_tables_of_the_command_line_are_the_options() -> None:
+    assert VERBS
+    for verb, command in VERBS.items():
+        part = section(page("command-line.md"), f"## `roemetry {verb}`")
+        told = {word for row in table(part) if row[0].startswith("`-") for word in coded(row[0])}
+        options = {o for p in command.params if p.param_type_name == "option" for o in p.opts}
+        assert told == options | {"--help", "-h"}, verb
+        assert f"roemetry {verb} " in "".join(content for _, content in blocks(part, "")), "no example"
+
+
+@pytest.mark.parametrize("name", ["command-line.md", "recipe.md"])
+def test_what_a_page_takes_from_the_code_is_what_the_code_says(name: str) -> None:
+    again = rewritten(page(name))
+    assert again == page(name), "write them again: python -m docs.reference_tables docs/reference"
+    assert again.count("<!-- from the code:") == again.count("<!-- to here -->") > 3
+
+
+def test_every_exit_code_is_told() -> None:
+    rows = section(page("command-line.md"), "## Exit codes")
+    assert re.findall(r"^\| (\d+) \|", rows, flags=re.MULTILINE) == ["0", "1", "2", "130"]
+
+
+def test_the_plugin_of_the_page_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (ROOT / "docs" / "how-to" / "write-a-plugin.md").read_text("utf-8")
+    files = {title: content for language in ("toml", "python") for title, content in blocks(text, language)}
+    assert set(files) == {
+        "pyproject.toml",
+        "roemetry_centroid/__init__.py",
+        "roemetry_centroid/extractor.py",
+        "tests/test_run_centroid.py",
+        "tests/test_contract.py",
+    }
+    for name, content in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(content, "utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    try:
+        registry = discover([EntryPoint("centroid", "roemetry_centroid", "roemetry")])
+        assert registry.broken == ()
+        stage = registry.load(registry.find("extractor", "run-centroid"))
+        assert issubclass(stage.Options, StageOptions)
+        tests = runpy.run_path(str(tmp_path / "tests" / "test_run_centroid.py"))
+        found = [tests[name] for name in tests if name.startswith("test_")]
+        assert len(found) == 3
+        for test in found:
+            test()
+    finally:
+        for name in [name for name in sys.modules if name.startswith("roemetry_centroid")]:
+            del sys.modules[name]

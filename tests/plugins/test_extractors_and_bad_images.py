@@ -49,9 +49,7 @@ def centres(tilt: float = 0.05, rows: int = ROWS) -> np.ndarray:
     return REST_PX[:, None] + tilt * (np.arange(rows) - rows / 2) + 0.3
 
 
-def light(
-    x_px: np.ndarray, sigma: float = 1.8, amplitude: float = 160.0, background: float = 14.0
-) -> np.ndarray:
+def light(x_px: np.ndarray, sigma: float = 1.8, amplitude: float = 160.0) -> np.ndarray:
     """Give the mean grey levels of stripes."""
     off = np.arange(COLUMNS)[None, None, :] - x_px[:, :, None]
     return 14.0 + (amplitude * np.exp(-0.5 * (off / sigma) ** 2)).sum(axis=0)

@@ -26,14 +26,14 @@ from starlette.staticfiles import StaticFiles
 
 from roemetry.errors import DataError, RoemetryError
 from roemetry.records import Frame
-from roemetry_line import history, history_page, runs
+from roemetry_line import control_charts, history, runs
 from roemetry_line.control import Control
 from roemetry_line.feeds.image import decoded
 from roemetry_line.line_file import Line
 from roemetry_line.live_view import jpeg_of, picture_file, watch
-from roemetry_line.log import log
 from roemetry_line.outbox import Outbox
 from roemetry_line.page.users import MAY, Role, Session, Users
+from roemetry_line.process import log
 from roemetry_line.station import LATENCY_MS
 
 _SILENT_S = 3.0
@@ -345,12 +345,12 @@ class LinePage:
 
     def _charted(self, station: str, figure: history.Figure, back_s: float) -> dict[str, Any]:
         if not self._line.history_begun:
-            return history_page.told({}, {})
+            return control_charts.told({}, {})
         table = history.history_of(self._line)
         try:
             since_s = time.time() - back_s
             of = self._line.name, station, since_s
-            return history_page.told(history.counts_of(table, *of), history.charts_of(table, figure, *of))
+            return control_charts.told(history.counts_of(table, *of), history.charts_of(table, figure, *of))
         finally:
             table.close()
 
@@ -358,7 +358,7 @@ class LinePage:
         """Give the checks of the station's calibration, for the chart of its drift."""
         station = self._stations[self._known(request)]
         checks = await run_in_threadpool(history.checks_of, self._line, station)
-        plots = history_page.drift_plots(checks) if checks else []
+        plots = control_charts.drift_plots(checks) if checks else []
         return JSONResponse({"checks": len(checks), "plots": [[words, str(plot)] for words, plot in plots]})
 
     async def _metrics(self, _: Request) -> Response:

@@ -13,8 +13,15 @@ import typer
 from rich.console import Console
 
 from roemetry.calibrating.known_products import read_labels
-from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, place, set_option
-from roemetry.cli.progress import progress
+from roemetry.cli.options import (
+    cluster_option,
+    executor_of,
+    next_folder,
+    out_option,
+    place,
+    progress,
+    set_option,
+)
 from roemetry.errors import ConfigurationError, InterruptedRunError
 from roemetry.io.files import write_whole
 from roemetry.io.remote import folder_for
@@ -25,7 +32,6 @@ from roemetry_tools.compare.comparison import Measuring
 from roemetry_tools.compare.comparison import compare as compared_on
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.ranking import Compared
-from roemetry_tools.compare.stored_scores import KEPT, StoredScores
 from roemetry_tools.compare.tables import (
     across_sets,
     across_table,
@@ -36,7 +42,7 @@ from roemetry_tools.compare.tables import (
     verdicts_of,
 )
 from roemetry_tools.compare.variants import Variant, make_variants
-from roemetry_tools.compare.write import PAGE, SUMMARY, ItemsFile, write_comparison
+from roemetry_tools.compare.write import KEPT, PAGE, SUMMARY, ItemsFile, StoredScores, write_comparison
 
 
 def compare(

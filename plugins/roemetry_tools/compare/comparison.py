@@ -10,17 +10,16 @@ from roemetry.config.dataset import Dataset
 from roemetry.config.recipe import Recipe
 from roemetry.errors import RoemetryError
 from roemetry.records import Acquisition, Reason, Truth
-from roemetry.run.executors import Executor, Lost
+from roemetry.run.executors import Executor, Lost, Processes
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.stage_cache import CachedStages, StageCache
-from roemetry.run.workers import Processes
 from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.data import Data, Unit, as_taken, changed_file, labelled
 from roemetry_tools.compare.early_stopping import Stopped, beaten, looks
 from roemetry_tools.compare.ranking import Compared, rank_against
 from roemetry_tools.compare.score import Aggregate, Figures, Scored, score, unreadable
-from roemetry_tools.compare.stored_scores import Found, StoredScores
 from roemetry_tools.compare.variants import Variant
+from roemetry_tools.compare.write import Found, StoredScores
 
 
 class Measuring(TypedDict, total=False):

@@ -17,8 +17,15 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, place, set_option
-from roemetry.cli.progress import progress
+from roemetry.cli.options import (
+    cluster_option,
+    executor_of,
+    next_folder,
+    out_option,
+    place,
+    progress,
+    set_option,
+)
 from roemetry.errors import ConfigurationError, DataError, InterruptedRunError
 from roemetry.io.files import write_whole
 from roemetry.io.remote import folder_for
@@ -29,10 +36,9 @@ from roemetry_tools.compare.comparison import Measuring, compare
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.ranking import Compared
 from roemetry_tools.compare.score import Scored
-from roemetry_tools.compare.stored_scores import KEPT, StoredScores
 from roemetry_tools.compare.tables import WORDS, warning_of
 from roemetry_tools.compare.variants import Space, Variant
-from roemetry_tools.compare.write import ItemsFile, write_comparison
+from roemetry_tools.compare.write import KEPT, ItemsFile, StoredScores, write_comparison
 from roemetry_tools.optimise.search import (
     TRIED,
     Search,

@@ -21,9 +21,9 @@ from roemetry_tools.compare.agreement import Terms
 from roemetry_tools.compare.comparison import measure
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.score import QUANTITIES, Figures, Scored, beside_truth
-from roemetry_tools.compare.stored_scores import KEPT, StoredLines, StoredScores, identity_of
 from roemetry_tools.compare.tables import WORDS, csv_of
 from roemetry_tools.compare.variants import Axis, Space, Variant, recipe_of
+from roemetry_tools.compare.write import KEPT, StoredLines, StoredScores, identity_of
 
 _BATCH = 8
 """Recipes that are tried at once: they share the steps that are the same, and the start of the workers."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from roemetry.errors import StageError
 from roemetry.stages import Aligner
-from roemetry.testing.belts import belt_under
+from roemetry.testing.patterns import belt_under
 from roemetry.testing.verdict import refused, require
 
 

@@ -14,9 +14,9 @@ from roemetry.records.view import STEEP_MAX
 from roemetry.stages import Calibrator, Coder, Extractor, Triangulator
 from roemetry.testing.cases import calibration_for, calibration_set_for
 from roemetry.testing.checks.points import require_it_survives_its_file
-from roemetry.testing.circles import CircleRig, level
+from roemetry.testing.patterns import CircleRig, level
 from roemetry.testing.scenes import frame_of
-from roemetry.testing.verdict import refused, require
+from roemetry.testing.verdict import refused, require, within
 
 _FOUND_MIN = 0.95
 """Share of the rows of halves that are found: ends may be left out, and so may what bends within a width."""
@@ -33,8 +33,7 @@ def check_circles_are_right(extractor: Extractor[Any]) -> None:
     # what is steep is not asked for, and right where it is given
     off = np.abs(peaks.x_px - rig.x_on_rows(surface, steepest=2.0 * STEEP_MAX)[:, peaks.row])
     near = np.where(np.isfinite(off), off, np.inf).min(axis=0)
-    limit = extractor.capabilities.tolerance_px
-    require(bool((near <= limit).all()), f"errors up to {near.max():.3g} px, {limit:g} px are declared")
+    within(near, extractor.capabilities.tolerance_px, "errors")
     share = near.size / np.isfinite(rig.x_on_rows(surface)).sum()
     require(share >= _FOUND_MIN, f"{share:.1%} of the places are found, {_FOUND_MIN:.0%} expected")
 
@@ -88,10 +87,7 @@ def check_circles_are_where_the_scene_is(triangulator: Triangulator[Any]) -> Non
     profiles = triangulator.triangulate(rig.circle_map(x_px), calibration_for(triangulator, rig))
     xyz = profiles.xyz_mm[np.isfinite(x_px)]
     off = np.abs(xyz[:, 2] - surface(xyz[:, :2]))
-    limit = triangulator.capabilities.height_tolerance_mm
-    require(
-        bool((off <= limit).all()), f"heights are off by up to {off.max():.3g} mm, {limit:g} mm are declared"
-    )
+    within(off, triangulator.capabilities.height_tolerance_mm, "heights are off by", "mm")
     require(bool(np.isnan(profiles.xyz_mm[~np.isfinite(x_px)]).all()), "points where nothing is seen")
     require(not (profiles.height_std_mm < 0.0).any(), "height_std_mm is negative")
 
@@ -130,8 +126,7 @@ def check_cones_come_back(calibrator: Calibrator[Any]) -> None:
     # a half's last rows are told by its slope, which the found camera sees a row beside
     rows, true = np.arange(rig.rows, dtype=np.float64), rig.x_on_rows(level, steepest=0.8 * STEEP_MAX)
     off = float(np.nanmax(np.abs(calibration.rest_line_px(rows) - true)))
-    limit = calibrator.capabilities.tolerance_px
-    require(off <= limit, f"circles lie up to {off:.3g} px beside the true ones, {limit:g} px are declared")
+    within(off, calibrator.capabilities.tolerance_px, "circles lie beside the true ones by")
     middle = rig.x_on_rows(lambda xy: np.full(len(xy), 10.0))[:, rig.rows // 2]
     assert view is not None
     row = np.full(rig.stripes, rig.rows // 2)

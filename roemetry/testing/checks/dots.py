@@ -15,9 +15,9 @@ from roemetry.records.light import at_height
 from roemetry.stages import Calibrator, Coder, Extractor, Triangulator
 from roemetry.testing.cases import calibration_for, calibration_set_for
 from roemetry.testing.checks.points import require_it_survives_its_file
-from roemetry.testing.dots import DotRig
+from roemetry.testing.patterns import DotRig
 from roemetry.testing.scenes import SEED, frame_of
-from roemetry.testing.verdict import refused, require
+from roemetry.testing.verdict import refused, require, within
 
 _NEAR_PX = 3.0
 """Down the rows, within which what is found belongs to a pair of merged dots."""
@@ -32,8 +32,7 @@ def check_dots_are_right(extractor: Extractor[Any]) -> None:
     places = rig.places_px(rig.hill()).reshape(-1, 2)
     off = _off_px(extractor.extract(frame_of(rig.spots(places))), places)
     require(off.size == len(places), f"{off.size} dots are found, {len(places)} are there")
-    limit = extractor.capabilities.tolerance_px
-    require(bool((off <= limit).all()), f"errors up to {off.max():.3g} px, {limit:g} px are declared")
+    within(off, extractor.capabilities.tolerance_px, "errors")
 
 
 def check_brightness_of_dots_does_not_matter(extractor: Extractor[Any]) -> None:
@@ -61,8 +60,7 @@ def check_saturated_dots_are_flagged(extractor: Extractor[Any]) -> None:
     require(
         int(flagged.sum()) == int(bright.sum()), f"{int(flagged.sum())} of {int(bright.sum())} are flagged"
     )
-    limit = extractor.capabilities.saturated_tolerance_px
-    require(float(off.max()) <= limit, f"errors up to {off.max():.3g} px, {limit:g} px are declared")
+    within(off, extractor.capabilities.saturated_tolerance_px, "errors")
 
 
 def check_merged_dots_are_no_sound_dot(extractor: Extractor[Any]) -> None:
@@ -160,10 +158,7 @@ def check_dots_are_where_the_scene_is(triangulator: Triangulator[Any]) -> None:
     stripe, row = np.nonzero(stripes.seen)
     truth = rig.points_mm(heights)[stripe, stripes.dots.line[stripe, row]]
     off = np.linalg.norm(profiles.xyz_mm[stripe, row] - truth, axis=1)
-    limit = triangulator.capabilities.height_tolerance_mm
-    require(
-        bool((off <= limit).all()), f"points are off by up to {off.max():.3g} mm, {limit:g} mm are declared"
-    )
+    within(off, triangulator.capabilities.height_tolerance_mm, "points are off by", "mm")
     found = int(np.isfinite(profiles.xyz_mm[..., 0]).sum())
     require(found == stripe.size, f"{found} points from {stripe.size} dots")
     require(not (profiles.height_std_mm < 0.0).any(), "height_std_mm is negative")
@@ -218,10 +213,7 @@ def check_rays_come_back(calibrator: Calibrator[Any]) -> None:
     seen = np.column_stack([belt.x_px, _y(belt)])
     places = calibration.view.project(at_height(found, 0.0))
     off = float(np.linalg.norm(places[:, None] - seen[None], axis=2).min(axis=1).max())
-    limit = calibrator.capabilities.tolerance_px
-    require(
-        off <= limit, f"rays meet the belt up to {off:.3g} px beside their dots, {limit:g} px are declared"
-    )
+    within(off, calibrator.capabilities.tolerance_px, "rays meet the belt beside their dots by")
     # where the frame's origin lies depends on the camera's middle: distances do not
     apart, slopes = (
         np.linalg.norm(found[:, part] - found[:, part].mean(axis=0), axis=1)

@@ -14,7 +14,7 @@ from roemetry.stages import Calibrator, Coder, Extractor, Triangulator
 from roemetry.testing.cases import calibration_for, calibration_set_for
 from roemetry.testing.checks.points import require_it_survives_its_file
 from roemetry.testing.scenes import GridRig, frame_of
-from roemetry.testing.verdict import refused, require
+from roemetry.testing.verdict import refused, require, within
 
 _FOUND_MIN = 0.99
 """Share of the places where lines cross rows that is found, and labelled."""
@@ -29,8 +29,7 @@ def check_lines_of_a_grid_are_right(extractor: Extractor[Any]) -> None:
     for family, found, height in zip((rig, rig.across), _families(peaks), heights, strict=True):
         true = family.x_px(height)
         off = np.abs(true[:, found.row] - found.x_px).min(axis=0)
-        limit = extractor.capabilities.tolerance_px
-        require(bool((off <= limit).all()), f"errors up to {off.max():.3g} px, {limit:g} px are declared")
+        within(off, extractor.capabilities.tolerance_px, "errors")
         share = len(found) / true.size
         require(share >= _FOUND_MIN, f"{share:.1%} of the lines is found")
 
@@ -41,9 +40,8 @@ def check_white_crossings_give_no_peak(extractor: Extractor[Any]) -> None:
     heights = rig.hill(0.0)
     peaks = extractor.extract(frame_of(rig.grid_light(heights, 180.0)))
     for family, found, height in zip((rig, rig.across), _families(peaks), heights, strict=True):
-        off = float(np.abs(family.x_px(height)[:, found.row] - found.x_px).min(axis=0).max(initial=0.0))
-        limit = extractor.capabilities.saturated_tolerance_px
-        require(off <= limit, f"errors up to {off:.3g} px, {limit:g} px are declared")
+        off = np.abs(family.x_px(height)[:, found.row] - found.x_px).min(axis=0)
+        within(off, extractor.capabilities.saturated_tolerance_px, "errors")
 
 
 def check_a_hill_of_a_grid_is_coded(coder: Coder[Any]) -> None:
@@ -101,8 +99,7 @@ def check_both_families_lie_on_the_surface(triangulator: Triangulator[Any]) -> N
         (down, profiles.xyz_mm[: rig.stripes, : rig.rows]),
         (across, profiles.xyz_mm[rig.stripes :, : rig.columns]),
     ):
-        off = float(np.abs(true - found).max())
-        require(off <= limit, f"points are off by up to {off:.3g} mm, {limit:g} mm are declared")
+        within(np.abs(true - found), limit, "points are off by", "mm")
 
 
 def check_other_grids_are_refused(triangulator: Triangulator[Any]) -> None:
@@ -145,11 +142,8 @@ def check_both_families_come_back(calibrator: Calibrator[Any]) -> None:
     require(calibration.across is not None, "there are no lines across")
     assert calibration.across is not None
     for family, found in ((rig, calibration), (rig.across, calibration.across)):
-        off = float(
-            np.abs(found.rest_line_px(np.arange(family.rows, dtype=np.float64)) - family.rest_px()).max()
-        )
-        limit = calibrator.capabilities.tolerance_px
-        require(off <= limit, f"rest lines are off by up to {off:.3g} px, {limit:g} px are declared")
+        off = np.abs(found.rest_line_px(np.arange(family.rows, dtype=np.float64)) - family.rest_px())
+        within(off, calibrator.capabilities.tolerance_px, "rest lines are off by")
     require_it_survives_its_file(calibration)
     one_family = tuple(replace(one, peaks=replace(one.peaks, across=None)) for one in observed.observations)
     for what, other in (

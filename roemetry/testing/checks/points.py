@@ -14,16 +14,15 @@ from roemetry.records.calibration import Alignment, Calibration
 from roemetry.stages import Calibrator, Triangulator
 from roemetry.testing.cases import calibration_for, calibration_set_for
 from roemetry.testing.scenes import SEED, LinearRig
-from roemetry.testing.verdict import difference, refused, require
+from roemetry.testing.verdict import difference, refused, require, within
 
 
 def check_rest_lines_come_back(calibrator: Calibrator[Any]) -> None:
     """Every stripe's rest line is recovered within the declared `tolerance_px`, on every row."""
     rig = LinearRig()
     calibration = calibrator.calibrate(calibration_set_for(calibrator, rig))
-    off = np.abs(calibration.rest_line_px(np.arange(rig.rows, dtype=np.float64)) - rig.rest_px()).max()
-    limit = calibrator.capabilities.tolerance_px
-    require(off <= limit, f"rest lines are off by up to {off:.3g} px, {limit:g} px are declared")
+    off = np.abs(calibration.rest_line_px(np.arange(rig.rows, dtype=np.float64)) - rig.rest_px())
+    within(off, calibrator.capabilities.tolerance_px, "rest lines are off by")
 
 
 def check_displacements_come_back_with_their_sign(calibrator: Calibrator[Any]) -> None:
@@ -100,9 +99,8 @@ def check_a_plane_stays_plane(triangulator: Triangulator[Any]) -> None:
     require(points.shape[0] == heights.size, f"{points.shape[0]} points of {heights.size} stripe points")
     middle = points - points.mean(axis=0)
     normal = np.linalg.svd(middle, full_matrices=False)[2][2]
-    off_mm = float(np.abs(middle @ normal).max())
     limit = triangulator.capabilities.height_tolerance_mm
-    require(off_mm <= limit, f"points are up to {off_mm:.3g} mm off the plane, {limit:g} mm are declared")
+    within(np.abs(middle @ normal), limit, "points are off the plane by", "mm")
 
 
 def check_the_belt_is_at_zero(triangulator: Triangulator[Any]) -> None:
@@ -210,6 +208,4 @@ def _near(triangulator: Triangulator[Any], rig: LinearRig, heights: Floats) -> N
     # Points of a slice may stand in any order: each is found by its row.
     at = np.rint(profiles.row_px).astype(np.int64)
     off_mm = np.linalg.norm(profiles.xyz_mm - np.take_along_axis(truth, at[:, :, None], axis=1), axis=2)
-    limit = triangulator.capabilities.height_tolerance_mm
-    worst = float(off_mm.max())
-    require(worst <= limit, f"points are off by up to {worst:.3g} mm, {limit:g} mm are declared")
+    within(off_mm, triangulator.capabilities.height_tolerance_mm, "points are off by", "mm")

@@ -14,7 +14,7 @@ from roemetry.errors import StageError
 from roemetry.records import Peaks
 from roemetry.records.calibration import Alignment, Calibration
 from roemetry.stages import Aligner
-from roemetry.testing.dots import DotRig, moved_dots
+from roemetry.testing.patterns import DotRig, moved_dots
 from roemetry.testing.scenes import GridRig, moved_grid
 from roemetry_coding.belt_dots import BeltDots
 from roemetry_coding.belt_grid import BeltGrid

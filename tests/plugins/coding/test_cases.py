@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.coded import Sample, cases, score
 from roemetry.errors import StageError
 from roemetry.records.arrays import Integers
 from roemetry.stages.registry import discover
-
-cases = pytest.importorskip("benchmarks.coded.cases", reason="only in a checkout")
-from benchmarks.coded import Sample, score  # noqa: E402
-from roemetry_tools.compare.stripes import nearest  # noqa: E402
+from roemetry_tools.compare.stripes import nearest
 
 FAILURES = {
     **{

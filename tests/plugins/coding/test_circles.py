@@ -16,7 +16,7 @@ from roemetry.records import Frame, Sensor
 from roemetry.records.calibration import Calibration
 from roemetry.records.cones import meet_cones
 from roemetry.records.view import write_camera
-from roemetry.testing.circles import CircleRig, level
+from roemetry.testing.patterns import CircleRig, level
 from roemetry_coding.belt_circles import BeltCircles
 from roemetry_coding.circles import CircleOrder
 from roemetry_peaks.circle_curves import CircleCurves

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-coded = pytest.importorskip("benchmarks.coded", reason="only in a checkout")
-from roemetry.records import StripeMap  # noqa: E402
-from roemetry_simulate.solid import Block, EmptyBelt  # noqa: E402
-from roemetry_tools.compare.stripes import nearest  # noqa: E402
+from benchmarks import coded
+from roemetry.records import StripeMap
+from roemetry_simulate.solid import Block, EmptyBelt
+from roemetry_tools.compare.stripes import nearest
 
 
 @pytest.fixture(scope="module")

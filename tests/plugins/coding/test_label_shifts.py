@@ -1,15 +1,15 @@
-"""Runs that are shifted alone or together: costs are exact, order is kept; pieces that agree."""
+"""Labels that are shifted keep their order, their costs are exact, and doubt about one piece spreads."""
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
 
-from roemetry_coding.planes.graph import Candidates
+from roemetry_coding.planes.graph import WEIGHTS, Candidates, PairCosts
 from roemetry_coding.planes.lines import Entries
-from roemetry_coding.planes.pieces import ENDS, Pieces
+from roemetry_coding.planes.pieces import ENDS, Pieces, between_bare, found_share, presence_of, relative_light
 from roemetry_coding.planes.shifts import (
     OUT,
     Runs,
@@ -19,7 +19,8 @@ from roemetry_coding.planes.shifts import (
     shifts_of,
     single_shifts,
 )
-from roemetry_coding.planes.solve import agreed, favour_labels
+from roemetry_coding.planes.solve import _EMPTY, agreed, favour_labels, min_marginals
+from roemetry_coding.planes.vetoes import claimed, ends_settled, going_on, left_over
 
 RUNS, LINES = 6, 20
 STAYS = 1
@@ -197,3 +198,183 @@ def test_what_a_run_is_given_holds_for_its_entries(of: list[int], of_run: list[i
     runs = runs_of(np.zeros((len(of_run), 4)), NONE, NONE, none)._replace(of=np.array(of))
     expected = [of_run[k] if k >= 0 else -9 for k in of]
     np.testing.assert_array_equal(of_entries(runs, np.array(of_run, np.int64), -9), expected)
+
+
+LOOK_BACK = 4
+
+
+def line(seed: int) -> tuple[Entries, Candidates, np.ndarray, PairCosts]:
+    """Draw one line of six entries that no other line says anything of."""
+    rng = np.random.default_rng(seed)
+    entries = 6
+    low, many = rng.integers(0, 4, entries), rng.integers(1, 5, entries)
+    offset = np.append(0, np.cumsum(many + 1))
+    pair, surface, unseen = [], [], []
+    for p in range(entries):
+        for q in range(max(0, p - LOOK_BACK), p):
+            pair.append((q, p, len(surface)))
+            for s in low[p] + np.arange(many[p]):
+                for t in low[q] + np.arange(many[q]):
+                    surface.append(rng.uniform(0, 1) if t < s else np.inf)
+                    unseen.append(rng.uniform(0, 1) if t < s else np.inf)
+    costs = PairCosts(
+        np.array(pair), np.array([0, len(pair)]), np.float32(surface), np.float32(unseen),
+        rng.uniform(0, 3, offset[-1]), rng.uniform(0, 3, offset[-1]),
+    )  # fmt: skip
+    alone = np.full(entries, -1)
+    at = Entries(np.array([0, entries]), np.arange(entries), np.arange(6.0), alone, alone, np.zeros(entries))
+    nothing = np.zeros(offset[-1])
+    return at, Candidates(low, many, offset, nothing, nothing + 1.0), rng.uniform(-4, 6, offset[-1]), costs
+
+
+def tried(candidates: Candidates, own: np.ndarray, costs: PairCosts) -> np.ndarray:
+    """Give (node,) the least cost over all labellings of the line, less the least of the entry."""
+    many, offset = candidates.many, candidates.offset
+    first = {(q, p): c for q, p, c in costs.pair.tolist()}
+    cost = np.full(own.size, np.inf)
+    for labels in product(*[range(count + 1) for count in many]):
+        nodes = [offset[i] + k for i, k in enumerate(labels)]
+        lit = [i for i, k in enumerate(labels) if k < many[i]]
+        total = own[nodes].sum()
+        if lit:
+            total += WEIGHTS.unseen * (costs.before[nodes[lit[0]]] + costs.after[nodes[lit[-1]]])
+        else:
+            total += WEIGHTS.unseen * _EMPTY
+        for q, p in pairwise(lit):
+            if (q, p) not in first:
+                total = np.inf
+                break
+            c = first[q, p] + labels[p] * many[q] + labels[q]
+            total += np.float32(WEIGHTS.surface * costs.surface[c] + WEIGHTS.unseen * costs.unseen[c])
+        cost[nodes] = np.minimum(cost[nodes], total)
+    for begin, end in pairwise(offset):
+        cost[begin:end] -= cost[begin:end].min()
+    return cost
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_they_are_those_of_all_labellings(seed) -> None:
+    entries, candidates, own, costs = line(seed)
+    found = min_marginals(entries, candidates, own, costs, WEIGHTS)
+    np.testing.assert_allclose(found, tried(candidates, own, costs), atol=1e-5)
+
+
+def test_light_is_held_against_the_median_of_two_on_either_side(rng: np.random.Generator) -> None:
+    rows = [rng.uniform(1.0, 100.0, count) for count in (0, 1, 2, 3, 9)]
+    expected = []
+    for row in rows:
+        for p, own in enumerate(row):
+            beside = np.delete(row, p)[max(0, p - 2) : p + 2]
+            expected.append(min(1.0, own / np.median(beside)) if beside.size else 1.0)
+    row_start = np.cumsum([0, *(row.size for row in rows)])
+    found = relative_light(row_start, np.concatenate(rows))
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_what_is_not_known_is_as_bright_as_any() -> None:
+    np.testing.assert_array_equal(relative_light(np.array([0, 3]), np.full(3, np.nan)), 1.0)
+
+
+STRIPES = 9
+
+
+def of(*runs: tuple[int, int]) -> np.ndarray:
+    """Repeat values: (value, times)."""
+    return np.concatenate([np.full(times, value, np.int64) for value, times in runs])
+
+
+def test_doubt_goes_on_along_a_stripe_over_short_gaps() -> None:
+    """Two stripes; what is not asked, and what lies beyond a long gap, is left alone."""
+    row = np.array([10, 12, 13, 14, 30, 31, 60, 61, 12, 13])
+    stripe = np.array([4] * 8 + [5] * 2)
+    asked = np.ones(10, np.bool_)
+    asked[5] = False
+    doubted = np.zeros(10, np.bool_)
+    doubted[1] = True
+    found = going_on(row, stripe, asked, doubted, 20)
+    np.testing.assert_array_equal(np.flatnonzero(found), [0, 1, 2, 3, 4])
+
+
+def test_a_piece_claims_the_stripe_it_has_elsewhere() -> None:
+    piece = of((0, 8), (1, 5))
+    stripe = of((3, 5), (-1, 3), (4, 3), (-1, 2))
+    found = claimed(pieces_of(piece, np.full(2, -1))._replace(trace=piece), stripe, STRIPES)
+    np.testing.assert_array_equal(found, of((3, 8), (4, 3), (-1, 2)))  # three peaks are too few for a claim
+    ends = claimed(pieces_of(piece, np.array([ENDS, -1]))._replace(trace=piece), stripe, STRIPES)
+    np.testing.assert_array_equal(ends, stripe)
+
+
+@pytest.mark.parametrize("kept, doubted", [(4, True), (5, False)])
+def test_a_piece_of_which_most_is_refused_is_refused(kept: int, doubted: bool) -> None:
+    piece, stripe = of((0, 10), (1, 3)), of((2, 10), (3, 3))
+    left = of((2, kept), (-2, 10 - kept), (3, 3))
+    found = left_over(piece, stripe, left, 0.5)
+    np.testing.assert_array_equal(found, np.concatenate([np.arange(10) < kept, np.zeros(3, bool)]) & doubted)
+
+
+@pytest.mark.parametrize("rows, there", [((200, 240), False), ((100, 400), True), ((0, 60), True)])
+def test_what_lies_on_a_rest_line_amid_the_image_only_is_no_belt(rows: tuple[int, int], there: bool) -> None:
+    """40 rows amid the image may be the neighbour's body; long runs and those from the border are belt."""
+    line = np.arange(*rows, dtype=np.float64)
+    piece = np.zeros(line.size, np.int64)
+    found = presence_of(
+        line, piece, np.zeros(1, np.int64), np.zeros(1), np.full(1, 479.0), 480, 96, 15, 30, 0.25
+    )
+    assert (found.max() > 0.0) == there
+
+
+@pytest.mark.parametrize("bare, marked", [((1, 3), True), ((1,), False), ((3,), False), ((), False)])
+def test_a_rest_line_between_bare_ones_may_show_a_body(bare: tuple[int, ...], marked: bool) -> None:
+    """Five stripes over 100 rows; some rest lines show nothing in rows 30 to 69."""
+    row, line = (a.ravel() for a in np.meshgrid(np.arange(100), np.arange(5), indexing="ij"))
+    amid = (row >= 30) & (row < 70)
+    line = np.where(amid & np.isin(line, bare), -1, line)
+    found = between_bare(row, line, 5, 100, 20)
+    np.testing.assert_array_equal(found, amid & (line == 2) & marked)
+    assert not between_bare(row, line, 5, 100, 41).any()  # 40 rows are then no bare line
+
+
+@pytest.mark.parametrize(
+    ("sides", "said", "settled"),
+    [
+        ((4, 4), 4, 1.0),  # both sides agree
+        ((4, 4), 5, 0.0),
+        ((4, 5), 5, 0.4),  # belt of 4, then the product's 5: where it changes is not known
+        ((4, 5), 4, 0.0),
+        ((4, None), 4, 0.4),
+        ((4, None), 3, 0.0),
+    ],
+)
+def test_ends_are_believed_as_far_as_their_trace_speaks_for_them(
+    sides: tuple[int, int | None], said: int, settled: float
+) -> None:
+    """A piece of belt on stripe 4's rest line, its end, and what follows."""
+    counts = [10, 8, 10 if sides[1] is not None else 0]
+    piece = np.repeat(np.arange(3), counts)
+    stripe = np.repeat([sides[0], said, -1 if sides[1] is None else sides[1]], counts)
+    after = 4 if sides[1] == 4 else -1
+    pieces = pieces_of(piece, np.array([4, ENDS, after]), np.array([4, 4, after]))
+    found = ends_settled(pieces, stripe)
+    assert (found[:10] == 1.0).all()
+    assert (found[10:18] == settled).all()
+
+
+@pytest.mark.parametrize(("first", "settled"), [(4, 0.0), (5, 0.4)])
+def test_an_end_that_lies_on_the_belt_still_is_not_yet_the_product(first: int, settled: float) -> None:
+    """An end called 5 on stripe 4's rest line, before a body of 5; before it there is belt, or that body."""
+    piece = np.repeat(np.arange(3), [10, 8, 10])
+    stripe = np.repeat([first, 5, 5], [10, 8, 10])
+    line = np.where(np.arange(28) < 14, 4, -1)
+    pieces = pieces_of(piece, np.array([4, ENDS, -1]), np.array([4, 4, -1]), line)
+    found = ends_settled(pieces, stripe)
+    assert (found[10:14] == (settled if first == 4 else 1.0)).all()
+    assert (found[14:18] == (0.4 if first == 4 else 1.0)).all()
+
+
+def test_a_stripe_is_found_as_often_as_on_belt_that_nothing_covers() -> None:
+    """Stripe 0 is always found, 1 in every other row, 2 nowhere; a body covers all but the lower rows."""
+    rows = np.arange(400)
+    bare = rows >= 280
+    row = np.concatenate([rows[bare], rows[bare & (rows % 2 == 0)]])
+    line = np.repeat([0, 1], [120, 60])
+    np.testing.assert_allclose(found_share(row, line, 3, 400, 40), [1.0, 20 / 39, 1.0])

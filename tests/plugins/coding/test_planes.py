@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks import coded
 from roemetry.errors import StageError
 from roemetry.records import Peaks
 from roemetry.testing.scenes import LinearRig, wrong_labels
@@ -17,8 +18,6 @@ from roemetry_coding.planes.solve import build_problem
 from roemetry_kernels.rest_lines import calibrated_rest_lines
 from roemetry_simulate.solid import Block
 from roemetry_tools.compare.stripes import nearest
-
-coded = pytest.importorskip("benchmarks.coded", reason="only in a checkout")
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,9 @@
-"""What numba keeps on disk is used again, and only as long as nothing it was made from has changed."""
+"""Kernels on disk are used as long as nothing has changed; without a compiler they are plain functions."""
 
 from __future__ import annotations
 
 import ast
+import json
 import os
 import re
 import shutil
@@ -18,6 +19,7 @@ from llvmlite import binding
 from numba import types
 
 import roemetry_kernels
+from benchmarks import golden
 from roemetry.run.time_limit import StageTimeout, time_limit
 from roemetry_kernels import kernel_cache
 from roemetry_kernels.compiling import kernel
@@ -239,3 +241,34 @@ def test_a_kernel_that_could_not_be_kept_on_disk_is_refused() -> None:
 
     with pytest.raises(TypeError, match="would never be found again on disk"):
         made(kernel(lambda x: x))
+
+
+MEASURE_FIRST = """
+import json, sys
+from numba import config
+from benchmarks import golden
+
+assert config.DISABLE_JIT
+print(json.dumps(golden.first_lines(sys.argv[1], 1)))
+"""
+
+
+IN_SECONDS = ("egg/recipe", "herring_roe/recipe", "weld_groove/recipe")
+"""Of the shipped recipes; the others take up to half a minute each without the compiler:
+``NUMBA_DISABLE_JIT=1 python -m benchmarks golden --images 1`` compares all of them."""
+
+
+@pytest.mark.parametrize(
+    "name", [*(pytest.param(name, marks=pytest.mark.thorough) for name in IN_SECONDS[:2]), IN_SECONDS[2]]
+)
+def test_a_recipe_measures_the_same_without_the_compiler(name: str) -> None:
+    """The first image of a shipped recipe, against the golden records that the compiled kernels made."""
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURE_FIRST, name],
+        capture_output=True, text=True, check=False, cwd=golden.ROOT,
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    expected = json.loads(golden.file_of(name).read_text("utf-8"))[: len(found)]
+    assert list(golden.differences(expected, found, name)) == []

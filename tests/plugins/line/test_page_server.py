@@ -16,8 +16,8 @@ import pytest
 
 pytest.importorskip("uvicorn", reason="the extra line has uvicorn")
 
-from roemetry_line import log as line_log
 from roemetry_line.page import server as page_server
+from roemetry_line.process import _AsLine
 
 
 async def app(scope: Any, receive: Any, send: Any) -> None:
@@ -103,7 +103,7 @@ def test_who_asks_and_reads_is_kept_and_who_does_not_read_is_dropped(at) -> None
 def test_what_a_library_warns_of_is_a_line_of_json(capsys, monkeypatch) -> None:
     logger = logging.getLogger("roemetry.test.library")
     monkeypatch.setattr(logger, "propagate", False)
-    monkeypatch.setattr(logger, "handlers", [line_log._AsLine()])
+    monkeypatch.setattr(logger, "handlers", [_AsLine()])
     try:
         raise ValueError("twice\nas long")
     except ValueError:

@@ -1,4 +1,4 @@
-"""A whole line with its processes: what goes in comes out once, whatever dies."""
+"""A whole line with its processes and its file: what goes in comes out once, whatever dies."""
 
 from __future__ import annotations
 
@@ -12,9 +12,20 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
 
 from roemetry.errors import ConfigurationError
+from roemetry.io.files import exclusive
+from roemetry.records import Frame
+from roemetry_files.dataset_source import DatasetSource
+from roemetry_line import runs
+from roemetry_line.feeds.image import decoded
+from roemetry_line.line_file import Line
+from roemetry_line.outbox import NewRow, Outbox
 from tests.command import typed
 from tests.plugins.line.loopback import Receiver, wait_for
 
@@ -204,3 +215,164 @@ def test_a_unit_names_this_line(line_file) -> None:
     shown = typed("serve", path, "--unit")
     assert f"serve {path} --start-anyway" in shown.output
     assert "Type=notify" in shown.output
+
+
+PLC = "outlets:\n  - {name: plc, use: tcp, options: {port: 9100}}\n"
+
+
+@pytest.fixture
+def at(line_file):
+    """Write a line file with an outlet, with something replaced; gives its path."""
+    return lambda *replaced: line_file(*replaced, end=PLC)
+
+
+def test_a_whole_one_loads_with_its_history_as_an_outlet(at) -> None:
+    loaded = Line.load(at())
+    assert [one.name for one in loaded.outlets] == ["plc", "history"]
+    assert loaded.history_url == f"sqlite:{loaded.folder / 'history.sqlite'}"
+    assert loaded.stations[0].recipes[0].name == "recipe.yaml"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("port: 9100", "port: 91000", r"line\.yaml:9:37: .*port.*65535"),
+        ("port: 9100", "prot: 9100", r"line\.yaml:9:37: .*did you mean `port`"),
+        ("use: tcp", "use: tpc", r"(?s)line\.yaml:9:17: .*did you mean `tcp`"),
+        ("use: folder-watch", "use: folder", r"(?s)line\.yaml:7:12: .*did you mean `folder-watch`"),
+        ("recipe: recipe.yaml", "recipe: recpie.yaml", r"line\.yaml:6:5: .*recpie\.yaml"),
+        ("name: one", "name: One", r"line\.yaml:5:5: "),
+        ("name: one", "name: one\n    deadline_ms: 0", r"line\.yaml:6:5: .*deadline_ms.*greater than 0"),
+        ("name: line-1", "name: line-1\npage: {prot: 1}", r"line\.yaml:3:8: .*did you mean `port`"),
+        ("  - {name: plc", "  - {name: plc, use: tcp}\n  - {name: plc", r"line\.yaml:10:6: .*another.*`plc`"),
+        ("name: plc", "name: history", r"line\.yaml:9:6: .*history's own name"),
+        ("folder: data", "history: {url: mysql://x}", r"line\.yaml:3:11: .*url"),
+        ("roemetry_line: 1", "roemetry_line: 2", r"line\.yaml:1:1: .*roemetry_line"),
+    ],
+)  # fmt: skip
+def test_faults_are_told_at_their_place(at, old, new, told) -> None:
+    with pytest.raises(ConfigurationError, match=told):
+        Line.load(at((old, new)))
+
+
+def test_a_recipe_without_calibration_is_refused(at) -> None:
+    path = at()
+    recipe = path.parent / "recipe.yaml"
+    recipe.write_text(recipe.read_text("utf-8").replace("calibration: calibration.yaml\n", ""), "utf-8")
+    with pytest.raises(ConfigurationError, match=r"line\.yaml:6:5: .*no calibration"):
+        Line.load(path)
+
+
+def test_all_faults_are_told_at_once(at) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        Line.load(at(("use: tcp", "use: nobody"), ("folder-watch", "nothing")))
+    assert len(caught.value.faults) == 2
+
+
+def test_the_doctor_tries_what_a_line_names(at) -> None:
+    images = ("FOLDER/in", "FOLDER/images, existing: true, settle_ms: 0")
+    path = at(("port: 9100", "port: 1"), images, ("folder: data", "folder: data\npage: {port: 0}"))
+    ran = typed("doctor", path, code=2)
+    said = ran.output.splitlines()
+    assert said[0] == "ok       line file: line-1: recipes and calibrations load, every stage is installed"
+    assert "ok       station one, feed folder-watch: a frame of 320 × 240 pixels" in said
+    assert any(
+        line.startswith("WRONG    outlet plc (tcp): ") and "line.yaml:10:5: 127.0.0.1:1: Conn" in line
+        for line in said
+    )
+    assert "           → does the receiver run and listen there?" in said
+    assert "ok       outlet history (database): reached" in said
+    assert "ok       page: 127.0.0.1:0 is free" in said
+
+
+def test_the_doctor_says_how_a_line_is_that_runs(at) -> None:
+    path = at()
+    loaded = Line.load(path)
+    outbox = Outbox(loaded.folder)
+    outbox.beat("station one", "running", {})
+    outbox.raise_alarm("one", "camera", "no frames from the camera: unplugged")
+    with exclusive(loaded.folder):
+        ran = typed("doctor", path, code=2)
+    assert "ok       station one: running" in ran.output
+    assert "WRONG    one: no frames from the camera: unplugged" in ran.output
+
+
+def test_the_doctor_does_not_guess_what_a_file_is(tmp_path) -> None:
+    (tmp_path / "other.yaml").write_text("roemetry: 1\n")
+    ran = typed("doctor", tmp_path / "other.yaml", code=1)
+    assert isinstance(ran.exception, ConfigurationError)
+    assert "the key `roemetry_line`" in str(ran.exception)
+
+
+SHAPES = st.tuples(st.integers(1, 20), st.integers(1, 20)) | st.tuples(
+    st.integers(1, 20), st.integers(1, 20), st.just(3)
+)
+IMAGES = st.sampled_from([np.uint8, np.uint16]).flatmap(lambda kind: arrays.arrays(kind, SHAPES))
+
+
+@given(IMAGES)
+def test_a_tiff_comes_back_bit_by_bit(tmp_path_factory, pixels) -> None:
+    path = tmp_path_factory.getbasetemp() / "spooled.tif"
+    path.write_bytes(runs.tiff_of(pixels))
+    found = decoded(path)
+    assert found.dtype == pixels.dtype
+    np.testing.assert_array_equal(found, pixels)
+
+
+def test_another_reader_agrees(tmp_path, rng) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    pixels = rng.integers(0, 65536, (7, 5, 3)).astype(np.uint16)
+    (tmp_path / "one.tif").write_bytes(runs.tiff_of(pixels))
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "one.tif")[:, :, ::-1], pixels)
+
+
+def test_a_spool_is_a_data_set(tmp_path, rng) -> None:
+    run = runs.new_run(tmp_path, "s")
+    spool = runs.Spool(run, runs.KeptImages(tmp_path, "s", 1.0))
+    taken = [Frame(rng.integers(0, 4096, (6, 8)).astype(np.uint16), bit_depth=12, time_s=5.5 + n,
+                   encoder_count=100.0 + n) for n in range(3)]  # fmt: skip
+    given_on = [spool.add((frame,)) for frame in taken]
+    spool.close()
+    source = DatasetSource()
+    references = source.references(run)
+    for reference, frame, (acquisition, hashes) in zip(references, taken, given_on, strict=True):
+        (read,) = source.read(reference).frames
+        np.testing.assert_array_equal(read.pixels, frame.pixels)
+        assert (read.bit_depth, read.time_s, read.encoder_count) == (12, frame.time_s, frame.encoder_count)
+        assert acquisition.id == reference.id
+        assert len(hashes["laser_sha256"]) == 64
+
+
+def test_the_oldest_images_go_first(tmp_path) -> None:
+    image = (Frame(np.zeros((100, 100), np.uint8)),)  # 10 kB, and a head
+    first, second = runs.new_run(tmp_path, "s"), runs.new_run(tmp_path, "s")
+    assert first != second, "runs of one second have names of their own"
+
+    def left() -> list[list[str]]:
+        return [[path.stem for path in sorted(run.glob("images/*"))] for run in (first, second)]
+
+    spool = runs.Spool(first, runs.KeptImages(tmp_path, "s", 2.5e-5))
+    for _ in range(4):
+        spool.add(image)
+    assert left()[0] == ["000003", "000004"]
+    spool = runs.Spool(second, runs.KeptImages(tmp_path, "s", 4.5e-5))  # as after a restart
+    for _ in range(3):
+        spool.add(image)
+    assert left() == [["000004"], ["000001", "000002", "000003"]]
+    (first / "images" / "000004.tif").unlink()  # by hand
+    for _ in range(3):
+        spool.add(image)
+    assert left() == [[], ["000003", "000004", "000005", "000006"]]
+
+
+def test_a_record_is_completed_from_the_outbox(tmp_path) -> None:
+    outbox = Outbox(tmp_path)
+    run = runs.new_run(tmp_path, "s")
+    lines = [f'{{"id": "00000{n}#1", "acquisition": "00000{n}"}}' for n in (1, 2, 3)]
+    (run / "measurements.jsonl").write_text(lines[0] + "\n" + lines[1][:9])  # killed within a line
+    for number, line in enumerate(lines):
+        outbox.put([NewRow(f"l/{run.name}/{number}", "s", run.name, "product", {}, "{}", line)])
+    assert runs.complete_record(run, outbox) == {"000001", "000002", "000003"}
+    assert (run / "measurements.jsonl").read_text() == "".join(line + "\n" for line in lines)
+    runs.complete_record(run, outbox)
+    assert len((run / "measurements.jsonl").read_text().splitlines()) == 3

@@ -11,7 +11,7 @@ from roemetry.errors import ConfigurationError, StageError
 from roemetry.records import Frame, Sensor
 from roemetry.records.light import at_height, meet
 from roemetry.records.view import View
-from roemetry.testing.dots import DotRig
+from roemetry.testing.patterns import DotRig
 from roemetry_kernels.rays import meet_rays
 from roemetry_patterns.dot_centres import DotCentres
 from roemetry_patterns.epipolar_dots import EpipolarDots

@@ -15,7 +15,7 @@ from roemetry import Recipe
 from roemetry.errors import StageError
 from roemetry.records import Frame, Sensor, StripeMap
 from roemetry.records.calibration import Calibration
-from roemetry.testing.dots import DotRig
+from roemetry.testing.patterns import DotRig
 from roemetry_coding.grid import GridPlanes
 from roemetry_patterns.dot_centres import DotCentres
 from roemetry_patterns.dot_surface import DotSurface

@@ -1,4 +1,4 @@
-"""Limits, fuzzy rules and learning: right on what is known, silent on what is not."""
+"""Limits, fuzzy rules, learning, the shipped model: right on what is known, silent on what is not."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ import pytest
 from pydantic import ValidationError
 from scipy.stats import binom
 
+from benchmarks.traced import traced
+from roemetry import Pipeline, Recipe
 from roemetry.calibrating.known_products import read_samples
 from roemetry.errors import DataError, RoemetryError, StageError
 from roemetry.records import Fitted, Samples
@@ -348,3 +350,54 @@ def test_one_feature_beyond_all_that_was_seen_is_found_among_many(rng: np.random
     assert found[0].argmax() == 7
     assert found[0, 7] == pytest.approx(0.5, abs=1e-9)
     assert excess_norm(found)[0] == pytest.approx(0.5, abs=1e-9)
+
+
+FOLDER = Path(__file__).parents[3] / "recipes" / "herring_roe"
+SETS = (
+    "stages.extractor.use=centre-of-gravity",
+    "stages.extractor.options={}",
+    "stages.classifier.use=learned",
+    "stages.classifier.options={model: classifier.json}",
+)
+
+
+def test_the_model_is_small_and_says_what_it_was_fitted_on() -> None:
+    path = FOLDER / "classifier.json"
+    assert path.stat().st_size < 2**16
+    assert "no real skein" in json.loads(path.read_text("utf-8"))["about"]["fitted_on"]
+
+
+@pytest.mark.parametrize(
+    ("skein", "label"),
+    [
+        ("skein_01", "good"),
+        ("skein_03", "dent"),
+        ("skein_06", "twist"),
+        ("skein_08", "good"),
+        ("skein_09", "bend"),
+    ],
+)
+def test_the_model_names_what_stripes_show(skein: str, label: str) -> None:
+    """Images that nothing was fitted to, calibrated by the recipe's block."""
+    recipe = Recipe.load(FOLDER, sets=SETS)
+    source = recipe.source.make()
+    (reference,) = (one for one in source.references(recipe.source_path) if one.id == skein)
+    grade = Pipeline(recipe).trace(source.read(reference)).products[0].grade
+    assert grade.label == label
+    assert grade.probability > 0.5
+
+
+THOROUGH = [pytest.param(family, marks=pytest.mark.thorough) for family in ("fillet", "wedge")]
+
+
+@pytest.mark.parametrize("family", ["staircase", "truncated-pyramid", *THOROUGH])
+def test_what_is_no_skein_is_unknown(family: str) -> None:
+    """Measured without an image, on a rig about the recipe's; and the feature that tells is named."""
+    learned = Learned(LearnedOptions(model=FOLDER / "classifier.json"))
+    product = traced(7, family=family).exact
+    assert product is not None
+    grade = learned.classify(product)
+    assert grade.label == "unknown"
+    assert [reason.code for reason in grade.reasons] == ["unlike-anything-learned"]
+    assert grade.features["novelty"] > 1.0
+    assert grade.reasons[0].text.split(" is ")[0] in grade.features

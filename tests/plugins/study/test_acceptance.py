@@ -17,11 +17,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roemetry.calibrating.sphere_plate import fit_sphere
-from roemetry.errors import DataError
+from roemetry.errors import DataError, InterruptedRunError
 from roemetry.records import NOTHING, Block, Profiles, SpherePlate, Staircase
-from roemetry.run.workers import Processes
+from roemetry.run.executors import Lost, Processes
 from roemetry_study.acceptance import Artefact, Value, decide, dispersion, measure, overall
 from roemetry_study.certificate import Certificate, Table, new_key, software_sha256, verify, write
+from roemetry_study.gauge import plan
 from roemetry_study.reports import of_acceptance
 from roemetry_study.study_files import read_acceptance
 from tests.command import typed
@@ -205,3 +206,30 @@ def test_the_certificate_is_the_same_wherever_images_are_measured() -> None:
     path = Path("recipes/herring_roe/acceptance.yaml").absolute()
     file = read_acceptance(path).model_copy(update={"recipe": "recipe.yaml"})  # quicker than the file's own
     assert of_acceptance(file, path, Elsewhere()) == of_acceptance(file, path, Processes(1))
+
+
+SIZES = ((5, 2, 2), (5, 3, 2))
+
+
+class Elsewhere:
+    """Does what it is given as another process would: from pickles, a worker for each task."""
+
+    def in_order(self, make, given, tasks):
+        for task in tasks:
+            worker = make(*pickle.loads(pickle.dumps(given)))
+            yield pickle.loads(pickle.dumps(worker(pickle.loads(pickle.dumps(task)))))
+
+
+class Loses:
+    """Loses what it is given."""
+
+    def in_order(self, make, given, tasks):
+        yield from (Lost(task, "its worker died") for task in tasks)
+
+
+def test_a_plan_is_the_same_by_any_executor() -> None:
+    here = list(plan(1.0, 0.2, 0.1, SIZES, studies=3))
+    assert list(plan(1.0, 0.2, 0.1, SIZES, studies=3, executor=Elsewhere())) == here
+    assert [size[:3] for size in here] == list(SIZES)
+    with pytest.raises(InterruptedRunError, match="a simulated study was lost: its worker died"):
+        list(plan(1.0, 0.2, 0.1, SIZES, studies=3, executor=Loses()))

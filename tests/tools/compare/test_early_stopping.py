@@ -11,18 +11,16 @@ from distributed import LocalCluster
 
 from roemetry.errors import InterruptedRunError, OutputError
 from roemetry.run.cluster import Cluster
-from roemetry.run.executors import Lost
-from roemetry.run.workers import Processes
+from roemetry.run.executors import Lost, Processes
 from roemetry.stages.registry import discover
 from roemetry_tools.compare import early_stopping
 from roemetry_tools.compare.agreement import PairedValue, Terms
 from roemetry_tools.compare.comparison import compare
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.early_stopping import DOUBT, ERROR_MAX_PCT, beaten, capital, looks
-from roemetry_tools.compare.stored_scores import KEPT, StoredScores
 from roemetry_tools.compare.tables import flat
 from roemetry_tools.compare.variants import make_variants
-from roemetry_tools.compare.write import ItemsFile
+from roemetry_tools.compare.write import KEPT, ItemsFile, StoredScores
 
 AT = list(takewhile(lambda at: at <= 1000, looks()))
 

@@ -1,22 +1,50 @@
-"""The judges of `compare`, on maps and peaks made by hand."""
+"""The judges of `compare`, on maps and peaks made by hand; scores come back from their file."""
 
 from __future__ import annotations
 
+import base64
+import json
 import math
+import pickle
+import zlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from roemetry.records import AMBIGUOUS, UNLABELLED, Frame, Peaks, Reason, StripeMap, StripeTruth
-from roemetry_tools.compare.score import NOT_GRADED, classes_of, errors_of
+from roemetry.errors import OutputError
+from roemetry.records import (
+    AMBIGUOUS,
+    UNLABELLED,
+    Estimate,
+    Frame,
+    Grade,
+    Measurement,
+    Peaks,
+    ProductTruth,
+    Reason,
+    Shares,
+    StripeMap,
+    StripeTruth,
+    Volume,
+)
+from roemetry.stages.registry import discover
+from roemetry_tools.compare.agreement import Terms
+from roemetry_tools.compare.data import Data
+from roemetry_tools.compare.score import NOT_GRADED, Pair, Scored, classes_of, errors_of
 from roemetry_tools.compare.stripes import (
+    CentreScore,
+    CodingScore,
     by_place,
     nearest,
     score_centres,
     score_coding,
     truth_in,
 )
+from roemetry_tools.compare.variants import make_variants
+from roemetry_tools.compare.write import KEPT, StoredScores, _plain
+from tests.tools.compare.conftest import dataset
 
 ROWS, COLUMNS = 40, 100
 
@@ -188,3 +216,75 @@ def test_classes_are_counted_and_none_is_not_right() -> None:
     assert classes.balanced_accuracy == pytest.approx((0.8 + 0.25) / 2)
     only = classes_of({("good", "good"): 3})
     assert math.isnan(only.balanced_accuracy)
+
+
+__all__ = ["dataset"]
+
+WHY = Reason("undecided", "a third of the points is open")
+
+
+class Evil:
+    """What runs code where a pickle is read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return Path.write_text, (self.path, "ran")
+
+
+def scored() -> Scored:
+    counts = np.zeros_like(CentreScore().counts)
+    counts[[3, 2999]] = 7, 1
+    row = Measurement(
+        "a#1",
+        "a",
+        1,
+        status="measured",
+        height_max_mm=Estimate(0.1 + 0.2, 1e-300, interval=(-math.inf, math.inf)),
+        volume=Volume(Estimate(math.pi * 1e4, 1.0), None, Shares(1.0, 0.0, 0.0), reasons=(WHY,)),
+        grade=Grade("good", math.nan),
+        absent={"weigher": WHY},
+    )
+    true = ProductTruth("good", visible_mm3=31000.0, figures={"length_mm": 71.3})
+    return Scored(
+        2,
+        "ä\udce4",
+        (Pair(1, row, true, (WHY,)), Pair(0, None, None)),
+        WHY,
+        CentreScore(9, 8, 7, 0.1 + 0.2, math.inf, counts),
+        CentreScore(),
+        CodingScore(5, 3),
+        {"stripes": WHY},
+        {"frame": 0.0125},
+    )
+
+
+@pytest.fixture
+def kept(dataset, tmp_path):
+    variants = make_variants(dataset(2), [], registry=discover())
+    data = Data(variants[0].recipe)
+    return lambda: StoredScores(tmp_path, variants, data, Terms(), resume=True)
+
+
+def test_what_was_kept_comes_back_to_the_last_digit(kept) -> None:
+    with kept() as file:
+        file.add((True, [scored()]))
+        ((cold, (found,)),) = file.found()
+    assert cold is True
+    assert json.dumps(found, default=_plain) == json.dumps(scored(), default=_plain)
+    assert (found.centres.counts == scored().centres.counts).all()
+    assert found.pairs[0].reasons == (WHY,)
+    assert found.pairs[0].measured.height_max_mm.interval == (-math.inf, math.inf)
+    assert math.isnan(found.pairs[0].measured.grade.probability)
+
+
+def test_a_stranger_s_file_runs_nothing(kept, tmp_path) -> None:
+    with kept():
+        pass
+    bad = base64.b64encode(zlib.compress(pickle.dumps(Evil(tmp_path / "ran"))))
+    with (tmp_path / KEPT).open("ab") as file:
+        file.write(bad + b"\n")
+    with kept() as file, pytest.raises(OutputError, match=r"\.scored:2: damaged, or of another roemetry"):
+        next(file.found())
+    assert not (tmp_path / "ran").exists()

@@ -1,8 +1,12 @@
-"""Clusters: the same rows in the same order, whoever dies; other software is refused."""
+"""The time that is left of many tasks, work on a cluster, and kernels compiled before the first run."""
 
 from __future__ import annotations
 
+import json
+import math
 import os
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +22,7 @@ from roemetry.run import cluster
 from roemetry.run.batch import run_recipe
 from roemetry.run.cluster import Cluster
 from roemetry.run.executors import Lost
+from roemetry.run.pace import Pace
 from roemetry.run.record import RECORD, read_record
 from roemetry_paper.zero_order_hold import ZeroOrderHold
 
@@ -165,3 +170,72 @@ def test_a_scheduler_that_goes_away_leaves_a_run_to_go_on_with() -> None:
         with pytest.raises(InterruptedRunError, match="scheduler is gone") as error:
             list(found)
     assert "--resume" in str(error.value)
+
+
+class Clock:
+    """A clock that is put forward by hand."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_few_dear_steps_after_many_cheap_ones_are_told_by_their_own_cost() -> None:
+    clock = Clock()
+    pace = Pace({"cheap": 10, "dear": 3}, clock=clock)
+    assert math.isnan(pace.left_s())
+    for _ in range(10):
+        clock.now += 0.1
+        pace.done("cheap")
+    assert pace.left_s() == pytest.approx(0.3)  # nothing is known of the dear ones yet
+    clock.now += 20.0
+    pace.done("dear")
+    assert pace.left_s() == pytest.approx(40.0)
+    for _ in range(2):
+        clock.now += 20.0
+        pace.done("dear")
+    assert pace.left_s() == 0.0
+
+
+def test_a_kind_that_has_not_come_yet_costs_what_is_said_of_it() -> None:
+    clock = Clock()
+    pace = Pace({"image": 4, "fit": 1}, cost={"fit": 10.0}, clock=clock)
+    clock.now += 2.0
+    pace.done("image")
+    assert pace.left_s() == pytest.approx(3 * 2.0 + 20.0)
+
+
+COUNT = """
+import json
+import sys
+
+import roemetry
+from roemetry.cli.warm_up import warm_up
+
+if __name__ == "__main__":
+    told = []
+    quick = ["stages.extractor=log-parabola", "stages.coder=ordered", "stages.aligner=null"]
+    recipe = roemetry.Recipe.load(sys.argv[1], sets=quick)
+    kinds = warm_up(recipe.stages, lambda done, of: told.append((done, of)))
+    print(json.dumps([kinds, told]))
+"""
+
+
+def test_kernels_are_compiled_once(root: Path, tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "NUMBA_OPT": "1"}
+    environment.pop("NUMBA_DISABLE_JIT", None)
+    script = tmp_path / "count.py"
+    script.write_text(COUNT, encoding="utf-8")
+    command = [sys.executable, str(script), str(root / "recipes/herring_roe")]
+    (kinds, told), again = (
+        json.loads(subprocess.run(command, env=environment, capture_output=True, check=True).stdout)
+        for _ in range(2)
+    )
+    assert {"extractor", "coder"} <= set(kinds)
+    done, of = zip(*told, strict=True)
+    assert len(told) == len(kinds) + 1
+    assert done == tuple(sorted(set(done)))
+    assert (done[0], {done[-1]}) == (0, set(of))
+    assert again == [[], []], "what lies on disk is not compiled again"
+    assert list((tmp_path / "cache").rglob("*.nbi"))
