@@ -1,5 +1,17 @@
 """Triangulation by one coefficient a stripe (section 3.4, equations 3 and 4).
 
+Model. H = Ω_i D2: the height of a point of stripe i is proportional to its displacement D2 from the stripe's
+rest line (the paper's equation 4). Where the calibration knows the camera's distance W from the belt,
+perspective is taken out: H = Ω D2 / (1 + Ω D2 / W), and X and Y, at belt level mm/px times pixels from the
+image's centre, shrink by 1 − H/W. Without it both are the paper's: higher things look larger. The origin is
+the belt point at the image's centre. Where the calibration saw the lens bow the belt's lines, places in the
+image are undistorted first; where it saw displacements grow along the rows, by a tilted camera, they are
+brought to the middle row.
+
+Assumed: the camera looks straight down, pixels are square, and each plane of light cuts the belt in a line
+that is straight but for the lens. It fails for a camera that is tilted across the stripes (it acts as a wrong
+distance) and for lenses with more than a first radial term.
+
 `block_view` and `light_planes` say of camera and planes what a block calibration can: enough for coding and
 outlines, not exact.
 """
@@ -21,14 +33,7 @@ from roemetry.stages import Capabilities, StageOptions, Triangulator
 
 
 class BlockLinear(Triangulator[StageOptions]):
-    """H = Ω_i · D2: height is proportional to the displacement from the stripe's rest line.
-
-    Where the calibration knows the camera's distance W from the belt, perspective is taken out: H =
-    Ω D2 / (1 + Ω D2 / W), and X and Y, at belt level mm/px times pixels from the image's centre, shrink by
-    1 − H/W. Without it both are the paper's: higher things look larger. The camera is taken to look straight
-    down. The origin is the belt point at the image's centre. Where the calibration saw the lens bow the
-    belt's lines, places in the image are undistorted first.
-    """
+    """H = Ω_i · D2: height is proportional to the displacement from the stripe's rest line."""
 
     capabilities = Capabilities(height_tolerance_mm=1e-9)
 
