@@ -63,8 +63,10 @@ class BlockLinear(Triangulator[StageOptions]):
             across_px, down_px = straight[..., 0], straight[..., 1]
         else:
             away_px, across_px, down_px = x_px - stripes.rest_px, x_px - middle_px, rig.from_middle
+        # height by the displacement, then by the perspective
         height_mm = omega[:, None] * away_px / (1.0 + rig.growth_per_px * down_px)
         height_mm /= 1.0 + rig.per_distance * height_mm
+        # a higher point is seen larger: it stands nearer to the axis
         shrunk = 1.0 - rig.per_distance * height_mm
         xyz_mm = np.empty((*x_px.shape, 3))
         xyz_mm[:, :, 0] = across_px * scale * shrunk
@@ -93,6 +95,7 @@ class BlockLinear(Triangulator[StageOptions]):
             name: value / (1.0 + zoom) if name in _GROW else value
             for name, value in calibration.parameters.items()
         }
+        # what the motion is unsure by moves rest lines and scale together
         covariance = calibration.covariance
         if alignment.covariance.any() and "rest_error_px" in parameters:
             of_rest = [
@@ -199,6 +202,7 @@ def _turned_lines(calibration: Calibration, motion: Floats) -> Floats:
     slope = np.polynomial.polynomial.polyval(y, np.polynomial.polynomial.polyder(known.T))
     away = x - (columns - 1) / 2.0
     per_px = _per_distance(calibration) * float(calibration.parameters["mm_per_px"][0])
+    # along the row a line slides by its slope, all to first order
     along = roll * away + zoom * y - tilt * (y * y * per_px + (1.0 / per_px if per_px else 0.0))
     moved = pan_px * (1.0 + (away * per_px) ** 2) - roll * y + zoom * away - tilt * away * y * per_px
     degree = max(known.shape[1] - 1, 1)
@@ -265,6 +269,7 @@ def block_view(
     height = _ABOVE_MM if working_distance_mm is None else working_distance_mm
     focal = 1.0 / mm_per_px if telecentric else height / mm_per_px
     middle_x, middle_y = (columns - 1) / 2.0, (rows - 1) / 2.0
+    # looking straight down: y and z are turned
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[2, 3] = height
     k1 = 0.0 if telecentric else bow_per_px2 * focal**2
