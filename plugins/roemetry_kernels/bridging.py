@@ -1,8 +1,8 @@
 """From labelled peaks to a dense stripe map: belt or product, short gaps bridged, products numbered.
 
 Gaps that are short enough are bridged by straight lines. Points off the rest lines that hang together along
-and across stripes are one product, or, if they are few, dirt. It assumes that products displace all stripes
-to the same side. It fails where two products touch: they are one.
+and across stripes are one product, or, if they are few, dirt. Thin ends are judged by the side to which
+products displace stripes, which is one in a frame. It fails where two products touch: they are one.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@ against triangle tests, over bins of a central projection onto the belt.
 Faces flatter than the test's margin of 3e-7 of the distance (0.1 µm) do not shadow each other. Where a plane
 is both lit and seen at several places of a row, all are told; the first is that on a body, then the highest.
 
-It assumes closed meshes, and that camera and projector are above all of them. It fails where a row runs along
-a segment: any place of it is then the crossing.
+It assumes closed meshes, and that camera and projector are above all of them. It fails where a segment runs
+along a row: the crossing is hardly determined there, and of a segment that lies in the row none is told.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@ kept by name: blurred, tiny, cut off, mirrored, another board, laser-on and lase
 A pose has up to two images: with the laser off, which shows the marks and how even the print is, and with the
 laser on, whose difference to the first shows the stripes.
 
-It fails where few marks are seen: a mirrored board or one of another pitch cannot be told from the described
-one by them.
+It assumes a flat board, up to the lens and what warp is described. It fails where the pitch is described
+wrongly: marks alone cannot tell a size (`roemetry_pinhole.scale`, `roemetry_pinhole.prints`).
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@ that checks the scale, as a block does.
 A stretched print (paper drawn through a printer) shows in boards that are tilted and turned in different
 ways: one more step of the adjustment, with each board's y apart from its x, tells by how much.
 
-It fails where the first board is seen under few stripes, since its planes judge the others' sizes, and for
-prints that are off by more than 30 %.
+It fails where the first board is seen in fewer than two poses, since its planes judge the others' sizes, and
+for prints that are off by more than a factor of e^0.3 (`_SIZE_MAX`).
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ inside outwards, on how the dome falls to the rim (`border_at`). Over the inside
 integrated by Gauss's rule (`nodes_within`).
 
 It assumes that one line on the product, the rim, makes the outline. It fails where an overhang or a corner
-makes it instead: the border then lies off by that one's height times the tilt of sight.
+makes it instead: the border is then off by how much higher that lies, times the tilt of sight.
 """
 
 from __future__ import annotations

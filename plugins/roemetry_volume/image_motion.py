@@ -200,7 +200,7 @@ def image_motion(
     for level in range(_LEVELS, 0, -1):
         texture, every = textures[level - 1], 2.0**level
         reach = np.abs(motion) @ [1.0, 1.0, *[0.5 * max(laser.shape)] * 2]
-        # a motion beyond this level's reach may be wrong: nothing is tried, too
+        # a motion beyond this level's reach may be wrong: none at all is tried, too
         starts = [still, motion] if reach > every / 2.0 else [still]
         if found is None:
             starts += [np.array([0.0, 0.0, 0.0, growth]) for growth in _GROWTHS]
