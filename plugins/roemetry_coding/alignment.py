@@ -130,6 +130,7 @@ def alignment_of(
     largest, largest_std, natural, rounded, covariance = _at_the_edge(
         fit.motion, fit.covariance, fit.edges, fit.scale, _QUANTUM_PX
     )
+    # clearly too far, with its uncertainty: a motion that is hardly known refuses nothing
     if largest > options.refuse_from_px + 2.0 * largest_std:
         raise StageError(
             f"the belt's {light.what} lie up to {largest:.1f} px beside {light.where} "
@@ -137,6 +138,7 @@ def alignment_of(
             hint="fasten camera and laser, and calibrate again",
         )
     reasons = []
+    # both must hold: it matters, and it is real
     corrected = largest > max(options.correct_from_px, SIGNIFICANT * largest_std)
     if corrected:
         reasons.append(
@@ -147,6 +149,7 @@ def alignment_of(
             )
         )
     elif largest_std > _CHECKED_STD_PX:
+        # nothing corrected, but much could have moved unseen
         reasons.append(
             Reason(
                 "belt-not-seen",
@@ -157,6 +160,7 @@ def alignment_of(
     shifts = np.array([natural[0] / focal_px, natural[3] if math.isfinite(focal_px) else 0.0])[:distant]
     covariance[2, 2] += float((shifts**2).sum())  # what has moved is not known: see above
     return Alignment(
+        # rounded, so that frames of one state share one moved calibration
         motion=rounded if corrected else np.zeros(4),
         covariance=covariance,
         largest_px=largest,
@@ -200,6 +204,7 @@ def _in_words(motion: Floats, edge_px: Floats) -> str:
         f"grown by {zoom:+.2%}" if zoom > 0 else f"shrunk by {-zoom:.2%}",
         f"camera tilted by {math.degrees(tilt):+.2f}° about its x axis",
     )
+    # parts that do little at the edge would only lengthen the message
     told = np.abs(edge_px) >= _TOLD_SHARE * np.abs(edge_px).max()
     return ", ".join(word for word, tell in zip(words, told, strict=True) if tell)
 
@@ -222,6 +227,7 @@ def _at_the_edge(
     natural, rounded, scaled = np.empty(4), np.empty(4), np.empty((4, 4))
     for k in range(4):
         natural[k] = motion[k] * scale[k]
+        # rounded in px at the edge, then taken to natural units
         rounded[k] = np.rint(motion[k] / quantum) * quantum * scale[k]
         for j in range(4):
             variance += edges[worst, k] * covariance[k, j] * edges[worst, j]

@@ -54,10 +54,12 @@ class BeltCircles(Aligner[AlignerOptions]):
         """
         model = model_of(calibration, moved)
         fit = fitted(peaks, model)
+        # refused before "not compared": light that fits nowhere is worse than too little of it
         if fit.outer_peaks >= PEAKS_MIN:
             refuse_far(fit.outer_peaks, fit.outer_fit, _LIGHT)
         if fit.used < PEAKS_MIN:
             return not_compared()
+        # halves cannot move alone: they share an apex and an axis
         _refuse_halves_apart(fit.stripe_px)
         motion = FittedMotion(fit.motion, fit.covariance, model.edges, model.scale)
         return alignment_of(motion, self.options, focal_px_of(calibration), _LIGHT, 2)

@@ -78,14 +78,17 @@ class BeltDots(Aligner[AlignerOptions]):
         model = _model_of(calibration, moved)
         xy_px = np.column_stack([peaks.x_px, peaks.dots.y_px])
         search_px = min(SEARCH_PX, SEARCH_SPACING * model.spacing_px)
+        # places farther off than the search are no belt
         near, which = model.nearest.query(xy_px, distance_upper_bound=search_px)
         seen = np.flatnonzero(np.isfinite(near))
         first, last = model.place_px.min(axis=0), model.place_px.max(axis=0)
         end_px = OUTER_SHARE * (last - first)
+        # the outer tenth on all four sides of the pattern
         outer = ((xy_px < first + end_px) | (xy_px >= last - end_px)).any(axis=1)
         which = which[seen]
         off_px, answer = xy_px[seen] - model.place_px[which], model.answer[which]
         motion, weight, width_px = _fitted(off_px, answer, search_px)
+        # what is left after the motion: belt lies on its place
         left_px = off_px - answer @ motion
         fit = np.hypot(*left_px.T) < _ON_PLACE_PX
         if outer.sum() >= _DOTS_MIN:
@@ -128,10 +131,12 @@ def _model_of(calibration: Calibration, moved: Callable[[Calibration, Alignment]
         answer[..., k] = (there - back) / (2.0 * step)
     rows, columns = calibration.image_size
     with np.errstate(invalid="ignore"):
+        # seen at all, and with a derivative at both steps
         inside = ((place_px >= 0.0) & (place_px < np.array([columns, rows]))).all(axis=2)
     inside &= np.isfinite(answer).all(axis=(2, 3))
     if inside.sum() < _DOTS_MIN:
         raise StageError("the calibration's rays meet the belt outside the image", hint="calibrate again")
+    # each parameter in the unit in which it moves some place by 1 px
     largest = np.abs(answer[inside]).max(axis=(0, 1))
     scale = np.where(largest > 0.0, 1.0 / np.maximum(largest, 1e-12), 0.0)
     column, line = np.nonzero(inside)
@@ -151,13 +156,16 @@ def _fitted(off_px: Floats, answer: Floats, search_px: float) -> tuple[Floats, F
     """Fit the motion to (dot, 2) offsets; gives it, (dot,) weights, and the biweight's width, px."""
     theta, sigma = np.zeros(4), search_px
     for turn in range(len(WIDTHS) + LAST_ROUNDS):
+        # first the fixed widths, then one that follows the scatter
         width = WIDTHS[turn] * search_px if turn < len(WIDTHS) else SIGMAS * sigma
         left = off_px - answer @ theta
         square = (left**2).sum(axis=1)
         weight = np.maximum(1.0 - square / width**2, 0.0) ** 2
         normal = np.einsum("n,nia,nib->ab", weight, answer, answer)
         right = np.einsum("n,nia,ni->a", weight, answer, off_px)
+        # a motion that no dot shows stays nothing
         before, theta = theta, np.linalg.solve(normal + 1e-6 * (1.0 + len(off_px)) * np.eye(4), right)
+        # of one coordinate: squares are of two
         sigma = max(SIGMA_MIN_PX, float(np.sqrt(0.5 * weight @ square / max(weight.sum(), 1.0))))
         if turn >= len(WIDTHS) and np.abs(theta - before).max() < SETTLED_PX:
             break
@@ -171,6 +179,7 @@ def _sandwich(left_px: Floats, answer: Floats, weight: Floats, width_px: float, 
     """
     along = np.einsum("nia,ni->na", answer, left_px)
     change = np.einsum("n,nia,nib->ab", weight, answer, answer)
+    # derivative of the biweight's pull w(r)·r: w less what the weight itself changes
     change -= np.einsum("n,na,nb->ab", 4.0 * np.sqrt(weight) / width_px**2, along, along)
     bread = np.linalg.pinv(change, hermitian=True)
     pull = (weight[:, None] * along) @ bread

@@ -79,12 +79,14 @@ class BeltGrid(Aligner[AlignerOptions]):
         for fit, _, light in families:
             if fit.outer_peaks >= PEAKS_MIN:
                 refuse_far(fit.outer_peaks, fit.outer_fit, light)
+        # fewer lines of one family leave zoom and shift apart by nothing
         fewest = min(model.lines.shape[1] for _, model, _ in families)
         if min(one.used, other.used) < PEAKS_MIN or fewest < _LINES_MIN:
             return not_compared()
         joined, moved_px = _joined((one, upright), (other, across))
         found = alignment_of(joined, self.options, focal_px_of(calibration), LIGHT, 2)
         planes = (
+            # single planes are told against the joined motion: what its own fit put elsewhere is added back
             (fit.stripe_px + off_px, fit.sigma_px, light)
             for (fit, _, light), off_px in zip(families, moved_px, strict=True)
         )
@@ -98,6 +100,7 @@ def _joined(*families: tuple[Fit, Model]) -> tuple[FittedMotion, list[Floats]]:
     the joined one does. StageError where the families' motions differ.
     """
     scales = np.array([model.scale for _, model in families])
+    # the finer of both units: no part moves any place by more than a pixel
     scale = np.where(scales > 0.0, scales, np.inf).min(axis=0)
     information, pull, parts = np.zeros((4, 4)), np.zeros(4), []
     for fit, model in families:
@@ -110,10 +113,12 @@ def _joined(*families: tuple[Fit, Model]) -> tuple[FittedMotion, list[Floats]]:
         pull += weight @ fit.motion
         information += weight * per_unit
         parts.append((per_unit, stated))
+    # information adds; the covariance of the joined motion is its inverse
     covariance: Floats = np.asarray(np.linalg.inv(information), np.float64)
     motion = covariance @ pull
     edges, moved_px = [], []
     for (fit, model), (per_unit, stated) in zip(families, parts, strict=True):
+        # how far each family is from the joined motion, by its own uncertainty and in px
         apart = np.where(per_unit > 0.0, fit.motion - per_unit * motion, 0.0)
         off = math.sqrt(max(float(apart @ np.linalg.solve(stated, apart)), 0.0))
         most_px = float(np.abs(model.edges @ apart).max())

@@ -105,10 +105,13 @@ class BeltLines(Aligner[AlignerOptions]):
             the frame is torn (`roemetry_coding.tears`).
         """
         model = model_of(calibration, moved)
+        # first: a torn frame fits no motion, and its message would be of the wrong cause
         refuse_torn(peaks, model)
         fit = fitted(peaks, model)
+        # too few belt peaks: nothing is said, which is not the same as nothing has moved
         if fit.used < PEAKS_MIN:
             return not_compared()
+        # lines that fit no small motion are not the belt's
         refuse_far(fit.outer_peaks, fit.outer_fit, LIGHT)
         motion = FittedMotion(fit.motion, fit.covariance, model.edges, model.scale)
         found = alignment_of(motion, self.options, focal_px_of(calibration), LIGHT, 1)
@@ -202,11 +205,15 @@ def model_of(calibration: Calibration, moved: Callable[[Calibration, Alignment],
             moved(calibration, Alignment(np.eye(4)[k] * sign * step, none)).rest_line_px(rows)
             for sign in (1.0, -1.0)
         )
+        # central difference: second order in the step
         answer[..., k] = (there - back) / (2.0 * step)
+    # only what is seen counts: far outside a polynomial of a line says nothing
     inside = (lines >= 0.0) & (lines < calibration.image_size[1])
     largest = np.array([np.nanmax(np.abs(answer[..., k][inside]), initial=0.0) for k in range(4)])
     scale = np.where(largest > 0.0, 1.0 / np.maximum(largest, 1e-12), 0.0)
+    # each parameter in the unit in which it moves some place of the image by 1 px: equations of one scale
     answer = answer * scale
+    # the ends of each line: no place in the image moves more
     ends = answer[:, [0, -1]].reshape(-1, 4)
     spacing = np.diff(lines, axis=0)
     return Model(
@@ -220,6 +227,7 @@ def model_of(calibration: Calibration, moved: Callable[[Calibration, Alignment],
 
 def _stripes_that_moved(stripe_px: Floats, sigma_px: float, light: Light) -> tuple[Floats, list[Reason]]:
     """Give how far single planes have moved against the others, 0 for those that have not, and name them."""
+    # three standard errors of a stripe's mean, whose blocks of rows are independent
     limit = max(_STRIPE_MOVED_PX, SIGNIFICANT * sigma_px / math.sqrt(BLOCKS))
     moved_px = np.where(np.abs(stripe_px) > limit, stripe_px, 0.0)  # NaN has not
     if not moved_px.any():
@@ -227,6 +235,7 @@ def _stripes_that_moved(stripe_px: Floats, sigma_px: float, light: Light) -> tup
     _refuse_step(stripe_px, limit, light)
     far = np.flatnonzero(moved_px)
     which = ", ".join(f"{s + 1} ({stripe_px[s]:+.2f} px)" for s in far)
+    # too far for a correction; where the noise is larger, its limit counts
     if np.abs(moved_px).max() > max(_STRIPE_REFUSED_PX, limit):
         raise StageError(
             f"{light.what} have moved against the others on the belt: {which}",
@@ -242,11 +251,13 @@ def _refuse_step(stripe_px: Floats, limit_px: float, light: Light) -> None:
     Planes of one projector do not move so.
     """
     known = np.flatnonzero(np.isfinite(stripe_px))
+    # with fewer stripes, or only one that moved, a step would always fit
     if known.size < _STEP_STRIPES_MIN or np.count_nonzero(np.abs(stripe_px[known]) > limit_px) < _STEP_SIDE:
         return  # a plane that moved alone, which a slope and a step among few stripes would explain
     step_px = max(_STEP_PX, limit_px)
     for first in known[_STEP_SIDE : 1 - _STEP_SIDE]:
         design = np.column_stack([np.ones(known.size), known, known >= first])
+        # offset, slope and step by least squares; what is left must be noise
         found = np.linalg.lstsq(design, stripe_px[known], rcond=None)[0]
         left_px = np.abs(stripe_px[known] - design @ found).max()
         if abs(found[2]) > step_px and left_px <= limit_px:
@@ -272,16 +283,19 @@ def _fitted(
     off, weight = np.empty(most), np.empty(most)
     at = np.empty((most, 2), np.int64)
     answers = np.empty((4, most))  # by parameter: sums over them take several peaks at once
+    # every so many rows, from the middle of the first stretch
     for row in range(every // 2, rows, every):
         nearest = 0
         for p in range(row_start[row], row_start[row + 1]):
             if count >= most:
                 break
+            # peaks and lines rise along the row: the nearest line only moves on
             while nearest < stripes - 1 and abs(x_px[p] - lines[row, nearest + 1]) < abs(
                 x_px[p] - lines[row, nearest]
             ):
                 nearest += 1
             distance = x_px[p] - lines[row, nearest]
+            # farther away is no belt, or its number is open
             if abs(distance) <= search_px:
                 off[count], at[count, 0], at[count, 1] = distance, row, nearest
                 for k in range(4):
@@ -292,6 +306,7 @@ def _fitted(
     normal, right = np.zeros((4, 4)), np.zeros(4)
     sigma = search_px
     for turn in range(len(widths) + last_rounds):
+        # first the fixed widths, then one that follows the scatter
         width = widths[turn] * search_px if turn < len(widths) else sigmas * sigma
         total, sum_weight = 0.0, 0.0
         n00, n01, n02, n03, n11, n12, n13, n22, n23, n33 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -301,6 +316,7 @@ def _fitted(
             b0, b1, b2, b3 = of_0[i], of_1[i], of_2[i], of_3[i]
             left = off[i] - (t0 * b0 + t1 * b1 + t2 * b2 + t3 * b3)
             share = left / width
+            # Tukey's biweight: (1 − (r/width)²)², 0 beyond
             w = max(1.0 - share * share, 0.0)
             w *= w
             weight[i] = w
@@ -330,6 +346,7 @@ def _fitted(
             for j in range(k):
                 normal[k, j] = normal[j, k]
         _solve(normal, right, theta, before)
+        # weighted rms: products beyond the width are not in it
         sigma = max(sigma_min_px, math.sqrt(total / max(sum_weight, 1.0)))
         farthest = 0.0
         for k in range(4):
@@ -340,14 +357,17 @@ def _fitted(
     slope = np.zeros((stripes + blocks, 4))
     stripe_sum, of_stripe = np.zeros(stripes), np.zeros(stripes, np.int64)
     used, outer, outer_fit = 0, 0, 0
+    # at least 1 px: a narrow biweight must not make belt seen into belt missed
     width = max(sigmas * sigma, 1.0)
     for i in range(count):
         row, stripe = at[i, 0], at[i, 1]
         left = off[i]
         for k in range(4):
             left -= theta[k] * answers[k, i]
+        # clusters: one for each stripe, and one for each eighth of the rows
         block = stripes + row * blocks // rows
         for k in range(4):
+            # the pull of this peak on the motion, the score of the estimate
             pull = weight[i] * left * answers[k, i]
             slope[stripe, k] += pull
             slope[block, k] += pull
@@ -379,12 +399,14 @@ def _fitted(
                         first, last = min(first, at[i, 0]), max(last, at[i, 0])
                     beside += 1
             at_ends = first < outer_share * rows and last >= (1.0 - outer_share) * rows
+            # in half of the rows looked at, and at both ends: a product's light does not go from end to end
             if 2 * near * every > rows and at_ends:
                 stripe_sum[s], of_stripe[s] = total, near
     for s in range(stripes):
         stripe_sum[s] = stripe_sum[s] / of_stripe[s] if of_stripe[s] >= stripe_peaks_min else np.nan
     # what each block and each stripe pulls the motion by: their squares are its covariance
     covariance, pulled, unused = np.zeros((4, 4)), np.zeros(4), np.zeros(4)
+    # White's sandwich: each cluster's pull through the inverse normal matrix, squared
     for block in range(stripes + blocks):
         _solve(normal, slope[block], pulled, unused)
         for k in range(4):

@@ -104,14 +104,17 @@ class CircleOrder(Coder[BridgingOptions]):
         if view is None or not len(view.cones):
             raise StageError("the calibration has no cones of circles", hint="calibrate with pinhole-circles")
         pieces = _pieces_of(peaks)
+        # pieces are labelled together; only then rows are looked at one by one
         evidence, label = _decided(_problem(peaks, pieces, calibration, view))
         sure = (label >= 0) & (evidence >= _EVIDENCE_MIN)
+        # −1 is light of no circle: it is not ambiguous but none
         given = np.where(sure, label, np.where(label >= 0, AMBIGUOUS, UNLABELLED))
         stripe = keep_order(peaks, given[pieces.of])
         rest = _rest_of_these(peaks, stripe, calibration, len(view.cones))
         found = bridged(
             peaks,
             stripe,
+            # evidence is a logarithm of odds; tanh makes a margin from 0 to 1 of it
             np.tanh(evidence / 4.0)[pieces.of],
             rest,
             longest_gap_rows=self.options.longest_gap_rows,
@@ -124,6 +127,7 @@ class CircleOrder(Coder[BridgingOptions]):
 def _rest_of_these(peaks: Peaks, stripe: Integers, calibration: Calibration, halves: int) -> RestLines:
     """Give the rest lines; StageError where the light is not of the calibrated circles."""
     labelled = float((stripe >= 0).mean())
+    # first of all light, then of the outermost: another pattern is told before a moved belt
     if labelled < _LABELLED_MIN:
         raise StageError(
             f"only {labelled:.0%} of the peaks can be light of the {halves // 2} calibrated circles",
@@ -131,6 +135,7 @@ def _rest_of_these(peaks: Peaks, stripe: Integers, calibration: Calibration, hal
         )
     rest = calibrated_rest_lines(peaks, calibration)
     rows = np.flatnonzero(np.diff(peaks.row_start) > 0)
+    # product lies amid the circles: the outermost peaks of a row are the belt's
     outermost = np.concatenate([peaks.row_start[rows], peaks.row_start[rows + 1] - 1])
     on_belt = float((rest.line[outermost] >= 0).mean())
     if on_belt < _ON_BELT_MIN:
@@ -161,10 +166,13 @@ def _pieces_of(peaks: Peaks) -> _Pieces:
     x, curve = peaks.x_px[order], fragment[order]
     begins = np.diff(curve, prepend=-1) != 0
     bend = np.zeros(x.size)
+    # second difference: how far a peak lies beside the line through the two before it
     bend[2:] = np.abs(x[2:] - 2.0 * x[1:-1] + x[:-2])
+    # the first two peaks of a curve have no two before them
     bend[begins | np.roll(begins, 1)] = 0.0
     kink = bend > _KINK_PX
     start = begins | kink
+    # rows since the last beginning: a piece is cut again after so many
     at = np.arange(x.size)
     since = at - np.maximum.accumulate(np.where(start, at, 0))
     start |= since % _PIECE_ROWS == 0
@@ -193,25 +201,31 @@ class _Problem(NamedTuple):
 def _problem(peaks: Peaks, pieces: _Pieces, calibration: Calibration, view: View) -> _Problem:
     low, high = calibration.height_range_mm
     halves, count = len(view.cones), pieces.first.size
+    # pieces are numbered along each curve, so the one before is the number before
     ends = np.stack([pieces.first, pieces.last], axis=1)
     xy = np.stack([peaks.x_px[ends], peaks.row[ends].astype(np.float64)], axis=2)
     z = view.lift(xy[:, None], np.arange(halves)[None, :, None])[..., 2]  # (piece, half, end)
+    # both ends of the piece must be possible: a cone's height changes along it
     with np.errstate(invalid="ignore"):
         can = ((z > low - _BELT_MM) & (z < high * (1.0 + _ABOVE))).all(axis=2)
     most = int(can.sum(axis=1).max(initial=0))
     stripe = np.full((count, most + 1), -2)
+    # candidates of each piece side by side, so that all pieces have one array
     rank = np.cumsum(can, axis=1) - 1
     piece, half = np.nonzero(can)
     stripe[piece, rank[piece, half]] = half
     stripe[:, most] = -1
     heights = np.where((stripe >= 0)[..., None], z[np.arange(count)[:, None], np.maximum(stripe, 0)], 0.0)
+    # at both ends; a piece that crosses the belt's level is none of it
     on_belt = (np.abs(heights) < _BELT_MM).all(axis=2)
+    # dearer still where a circle of the belt explains the light as well
     above = np.where(np.any(on_belt, axis=1), _ABOVE_COST + _BY_CHANCE, _ABOVE_COST)[:, None]
     alone = np.where(stripe == -2, np.inf, np.where(on_belt, 0.0, above))
     alone[:, most] = _NOTHING
     along = np.flatnonzero(pieces.before >= 0)
     change = np.where(pieces.at_kink[along], _CHANGE_AT_KINK, _CHANGE)
     one, other = stripe[pieces.before[along]], stripe[along]
+    # along the curve: the same label costs nothing
     same = one[:, :, None] == other[:, None, :]
     pair = [np.where(same, 0.0, change[:, None, None])]
     edges = [np.column_stack([pieces.before[along], along])]
@@ -224,6 +238,7 @@ def _problem(peaks: Peaks, pieces: _Pieces, calibration: Calibration, view: View
 def _beside(peaks: Peaks, pieces: _Pieces) -> tuple[Integers, Floats]:
     """Give (pair, 2) pieces that follow each other in enough rows, and (pair,) the middle one of these."""
     follows = np.flatnonzero(np.diff(peaks.row) == 0)
+    # one number for an ordered pair of pieces
     both = pieces.of[follows] * pieces.first.size + pieces.of[follows + 1]
     key, at, many = np.unique(both, return_inverse=True, return_counts=True)
     row = np.bincount(at, peaks.row[follows], minlength=key.size) / np.maximum(many, 1)
@@ -237,6 +252,7 @@ def _across(
 ) -> Floats:  # fmt: skip
     """Give (pair, candidate, candidate) what labels of pieces beside each other cost."""
     begin, end = peaks.row[pieces.first[beside]], peaks.row[pieces.last[beside]]
+    # where between its ends each piece crosses the row
     share = np.clip((row[:, None] - begin) / np.maximum(end - begin, 1), 0.0, 1.0)
 
     def between(of_ends: Floats) -> Floats:
@@ -244,14 +260,17 @@ def _across(
 
     z = between(heights[beside])  # (pair, 2, candidate)
     x = between(np.stack([peaks.x_px[pieces.first[beside]], peaks.x_px[pieces.last[beside]]], -1)[:, :, None])
+    # heights per distance on the belt: the slope, squared and capped
     apart_mm = np.abs(x[:, 1, 0] - x[:, 0, 0]) * _mm_per_px(view)
     rise = np.abs(z[:, 1, None, :] - z[:, 0, :, None])
     cost = np.minimum((rise / (_STEEP * apart_mm[:, None, None])) ** 2, _BROKEN)
     one, other = stripe[beside[:, 0]][:, :, None], stripe[beside[:, 1]][:, None, :]
     reach = _reaching(calibration)
     at = np.clip(np.rint(row).astype(np.int64), 0, reach.shape[1] - 1)[:, None, None]
+    # halves that reach this row and lie between the two labels
     hidden: Integers = reach[np.maximum(other - 1, 0), at] - reach[np.maximum(one, 0), at]
     cost = cost + _HIDDEN * np.clip(hidden, 0, _HIDDEN_MAX)
+    # the right one of two must have the higher number
     cost = np.where(other > one, cost, _DISORDER)
     nothing = (one < 0) | (other < 0)
     return np.asarray(np.where(nothing, np.where(one == other, 0.0, _NOTHING_BESIDE), cost), np.float64)
@@ -272,12 +291,14 @@ def _reaching(calibration: Calibration) -> Integers:
     x_px = calibration.rest_line_px(rows)
     z = view.lift(np.stack(np.broadcast_arrays(x_px, rows), axis=2), np.arange(len(x_px))[:, None])[..., 2]
     with np.errstate(invalid="ignore"):
+        # a half that does not reach a row has no place on the belt there
         return np.asarray(np.cumsum(np.abs(z) < _BELT_MM, axis=0), np.int64)
 
 
 def _decided(problem: _Problem) -> tuple[Floats, Integers]:
     """Give (piece,) by how much the best label is cheaper than the next, and the label."""
     stripe, alone, edge, pair = problem
+    # sums of all messages: exact on a tree, good on loops
     belief = passed_on(alone, edge, pair)
     order = np.sort(belief, axis=1)
     evidence = order[:, 1] - order[:, 0] if order.shape[1] > 1 else np.zeros(len(order))
@@ -299,6 +320,7 @@ def passed_on(alone: Floats, edge: Integers, pair: Floats) -> Floats:
             for n in range(count):
                 source = edge[n, way]
                 for a in range(many):
+                    # without what the receiver said itself, or it would hear its own words
                     told[a] = belief[source, a]
                     if np.isfinite(told[a]):
                         told[a] -= message[1 - way, n, a]
@@ -311,9 +333,11 @@ def passed_on(alone: Floats, edge: Integers, pair: Floats) -> Floats:
                     said[way, n, b] = cheapest
                     least = min(least, cheapest)
                 for b in range(many):
+                    # less their least: only differences matter, and sums stay finite
                     said[way, n, b] = _DAMPED * message[way, n, b] + (1.0 - _DAMPED) * (
                         said[way, n, b] - least
                     )
+        # all at once: no order of edges is preferred
         message, said = said, message
         belief = alone.copy()
         for way in range(2):

@@ -1,8 +1,19 @@
 """Stripe coding by order alone, row by row: the fastest, and as right as order is.
 
-On an opaque surface lit and seen from above stripes keep their order along a row. Where a row shows every
-stripe, order decides. Where some are missing or some peaks are false, the cheapest alignment is taken: small
-steps of the surface from stripe to stripe, few stripes left out, belt on its own rest line.
+Model. On an opaque surface lit and seen from above stripes keep their order along a row. Where a row shows
+every stripe and the surface goes on from each to the next, order decides. Else the labels k of the row's
+peaks are those of least cost, with labels rising from left to right and heights z within range:
+
+    Σ min(|z_i − z_j|, 1) + 0.6 · stripes left out + 1.6 · peaks left out − 0.3 · peaks on their rest line
+
+over peaks i, j side by side, where z counts in label heights (what displaces a stripe by one spacing).
+Dynamic programming, forwards and backwards, finds it exactly; a peak's margin is by how much the best row in
+which it has another verdict is dearer. Peaks that stand alone along their stripe are refused.
+
+Assumed: an image row is nearly an epipolar line, and rows are independent. It fails where a stripe is hidden
+on a body whose stripes on either side lie about a label height apart: two numberings then cost nearly the
+same, and whole runs may be wrong; and a flat top one label height high with a hidden stripe beside it is
+taken for bare belt. `planes` looks at all rows at once.
 """
 
 from __future__ import annotations
@@ -60,6 +71,7 @@ class Ordered(Coder[OrderedOptions]):
         refuse_uncodable(peaks, calibration)
         calibration = required_calibration(calibration, "ordered", "it tells which stripe a row begins with")
         rest = calibrated_rest_lines(peaks, calibration)
+        # stripes without light on the belt are none that a row can lack
         live = rest.on_line >= _LIVE_ROWS_MIN
         refuse_bare_lines(bool(live.any()), live.size)
         low_mm, high_mm = calibration.height_range_mm
@@ -155,6 +167,7 @@ def order_rows(
         (peak,) stripe, −1 for a peak left out; and (peak,) cost by which the row would be dearer if this peak
         had another verdict.
     """
+    # labels are the stripes that are there; a dead one takes no place in the order
     of_label = np.flatnonzero(live)
     labels = of_label.size
     most = 0
@@ -180,11 +193,14 @@ def order_rows(
     for row in range(row_start.shape[0] - 1):
         begin, at = row_start[row], row * labels
         count = row_start[row + 1] - begin
+        # rows without peaks have nothing to say
         if count == 0:
             continue
+        # mean distance of this row's lines: a step by so much is what a wrong label makes
         spacing = 1.0
         if labels > 1:
             spacing = (lines[at + labels - 1] - lines[at]) / (labels - 1)
+        # nearly all rows of bare belt and of smooth bodies: no search is needed
         if count == labels and _in_full(
             x_px, np.uint64(begin), lines, np.uint64(at), np.uint64(count), low, high, way, 0.5 * spacing
         ):
@@ -202,6 +218,7 @@ def order_rows(
             first[k], after[k] = beyond, max(beyond, upto)
             for i in range(first[k], after[k]):
                 off = x - lines[np.uint64(at) + i]
+                # displacement towards higher points, in label heights
                 height[k * width + i] = way[i] * off / spacing
                 own[k * width + i] = -_REST if abs(off) <= tolerance_px else 0.0
         _least(height, own, first, after, count, labels, skipped, false, forward, backward)
@@ -227,6 +244,7 @@ def _in_full(
     """Say whether all stripes are there and the surface goes from each to the next without a large step."""
     # All are looked at, also after one that is not: a branch at each would be guessed wrong.
     other: Any = np.uint64(0)
+    # bodies and belt alike: what counts is the change from stripe to stripe
     before = way[0] * (x_px[begin] - lines[at])
     for k in range(count):
         off = x_px[begin + k] - lines[at + k]
@@ -253,9 +271,11 @@ def _least(
     for k in range(peaks):
         for i in range(first[k], after[k]):
             here = height[k * width + i]
+            # as the row's first: all stripes and peaks before it are left out
             best = skipped[i] + false[k]
             for q in range(k - look_back if k > look_back else zero, k):
                 for j in range(first[q], min(after[q], i)):
+                    # a step costs its size, up to a broken surface; stripes and peaks between are left out
                     step = min(abs(here - height[q * width + j]), _STEP_MAX)
                     left_out = skipped[i - j - one] + false[k - q - one]
                     best = min(best, forward[q * width + j] + step + left_out)
@@ -279,6 +299,7 @@ def _verdicts(
     of_label: Integers, begin: int, stripe: Integers, margin: Floats,
 ) -> None:  # fmt: skip
     """Walk back along the cheapest row, and compare each of its peaks with the next best verdict."""
+    # no peak labelled at all
     whole = labels * _SKIP + count * _FALSE
     width = np.uint64(labels)
     for k in range(np.uint64(count)):
@@ -295,6 +316,7 @@ def _verdicts(
                 best, second, mine = cost, best, np.int64(i)
             else:
                 second = min(second, cost)
+        # only peaks on the cheapest path; elsewhere the cheapest stripe of a peak may be of another path
         if mine >= 0 and best <= whole + 1e-9:
             stripe[begin + k] = of_label[mine]
             margin[begin + k] = min(second - best, DEAREST)
@@ -323,6 +345,7 @@ def refuse_doubtful(
     refused
         What is written for a refused peak.
     """
+    # the last peak of each stripe: within three rows it bears the next one out
     last = np.full(stripes, -1, np.int64)
     found = np.zeros(row.shape[0], np.bool_)
     for p in range(row.shape[0]):

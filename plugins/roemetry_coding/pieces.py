@@ -1,10 +1,17 @@
 """Numbers without a calibration: broken stripes are joined, and counted from left to right.
 
-Nothing is known here but order and direction. A piece of a stripe takes a number where a neighbour at a
-regular distance and the end of a stripe that points at it say the same, and keeps none where they differ.
-What comes out are numbers of this image, from the first stripe on that is seen: no planes of light.
+Model. Nothing is known here but order and direction: stripes on an opaque surface do not cross, and mostly go
+on as they were going. Traces are cut where they step aside or turn. The distance d of neighbours, square to
+them, is fitted over the image (log d linear in column and row, since most pairs are neighbours). A piece
+takes the number n where every numbered neighbour at 0.7 to 1.4 d says n, all in its rows stands on the right
+side, and the end of a stripe n points at it, no other nearly as well. Its margin compares that with the next
+number, over r, distances to neighbours, and o, offsets of ends, in spacings:
 
-Who stands beside whom, and which end points at which beginning, is found first.
+    margin = 1 − √(Σ (r − 1)² + Σ o²) / √(Σ (1 − |r − 1|)² + Σ (1 − |o|)²),    no more than its neighbours'
+
+Assumed: stripes run from top to bottom, and neighbours stand at regular distances. What comes out are numbers
+of this image, from the first stripe on that is seen: no planes of light. It fails, by refusing, where a body
+moves stripes aside by much of a spacing: order and direction then contradict each other.
 """
 
 from __future__ import annotations
@@ -150,8 +157,9 @@ _RIVAL = 0.15
 """Another end is a rival if it points no worse by more, spacings."""
 _CONTESTS = 1.0
 """A piece without a number contests a break if it points so near to one of its ends, spacings."""
-_THROUGH_ROWS = 10
-"""A stripe goes through beside a break if it is seen so far above and below it, rows."""
+_GOES_ON_ROWS = 12
+"""A stripe goes through beside a break if it is seen so far above and below it, rows: as far as a break
+that is no break may be long."""
 
 
 class Numbers(NamedTuple):
@@ -178,6 +186,7 @@ def numbers_of(pieces: TracedPieces, reach_rows: int, margin_min: float) -> Numb
     doubted: set[int] = set()
     loose: set[int] = set()
     while True:
+        # grown anew without what was in doubt: numbers that leaned on it must find other support
         growth = _best_growth(pieces, reach_rows, margin_min, doubted, loose)
         of_breaks = {piece for pair in growth.doubtful_breaks() for piece in pair}
         of_itself = growth.loose() - of_breaks
@@ -185,6 +194,7 @@ def numbers_of(pieces: TracedPieces, reach_rows: int, margin_min: float) -> Numb
             break
         doubted |= of_breaks
         loose |= of_itself
+    # from 0 on: the seed's own number was arbitrary
     number = growth.number - growth.number.min(initial=_FAR, where=growth.given)
     return Numbers(np.where(growth.given, number, -1), np.where(growth.given, growth.margin, np.nan))
 
@@ -196,6 +206,7 @@ def _best_growth(
     pieces: TracedPieces, reach_rows: int, margin_min: float, doubted: set[int], loose: set[int]
 ) -> _Growth:
     """Let numbers spread from the longest stripe, or from another it did not reach if that gives more."""
+    # a piece that was reached once is no seed again: it would give the same growth
     tried = doubted | loose
     best = None
     while best is None or len(tried) < pieces.count:
@@ -247,7 +258,10 @@ class _Growth:
             if not ready:
                 return
             (number, margin, _, breaks), best = max(
-                ready, key=lambda one: (not self._skips(one[0][3]), one[0][2], one[0][1])
+                # breaks that no unnumbered piece fits come first, then the number with most rows, then the
+                # surest
+                ready,
+                key=lambda one: (not self._skips(one[0][3]), one[0][2], one[0][1]),
             )
             self._give(self.groups[best], number, margin, breaks)
             waiting.remove(best)
@@ -259,6 +273,7 @@ class _Growth:
     def _verdict(self, group: list[int]) -> tuple[int, float, int, list[tuple[int, int]]] | None:
         """Give number, margin, rows side by side with what is numbered, and the breaks bridged; or None."""
         sides = list(self._sides(group))
+        # every neighbour must say the same number
         if not sides or len({number for number, *_ in sides}) > 1:
             return None
         number = sides[0][0]
@@ -268,10 +283,12 @@ class _Growth:
         bridged, facing, bad = self._breaks(group, number)
         if bad or (facing and not bridged) or (not bridged and rows < _ALONE_ROWS):
             return None
+        # squared misfits of this number, and of the next one: distances of neighbours should be 1, offsets 0
         mine = sum((r - 1.0) ** 2 for _, _, r, _ in sides) + sum(o**2 for o, *_ in bridged)
         one_off = sum((1.0 - abs(r - 1.0)) ** 2 for _, _, r, _ in sides) + sum(
             (1.0 - abs(o)) ** 2 for o, *_ in bridged
         )
+        # no surer than the surest neighbour that it leans on
         margin = min(1.0 - (mine / max(one_off, 1e-9)) ** 0.5, max(m for *_, m in sides))
         if margin < self.margin_min:
             return None
@@ -313,16 +330,10 @@ class _Growth:
         first = min(group, key=lambda k: int(pieces.top.row[k]))
         last = max(group, key=lambda k: int(pieces.bottom.row[k]))
         for mine, off, faces, gap, border, taken in (
-            (
-                first,
-                pieces.off[:, first],
-                pieces.faces[:, first],
-                pieces.gap[:, first],
-                pieces.border_top[first],
-                0,
-            ),
+            (first, pieces.off[:, first], pieces.faces[:, first], pieces.gap[:, first],
+             pieces.border_top[first], 0),
             (last, pieces.off[last], pieces.faces[last], pieces.gap[last], pieces.border_bottom[last], 1),
-        ):
+        ):  # fmt: skip
             if border:
                 continue
             facing |= bool(faces[list(self.doubted)].any())
@@ -375,6 +386,7 @@ class _Growth:
     def _contested(self, pair: tuple[int, int]) -> bool:
         """Say whether a piece without a number, as long as one that counts, begins or ends in a break."""
         pieces = self.pieces
+        # of the pieces without a number that are as long as those that count
         other = ~self.given & (np.array([part.size for part in pieces.peaks]) >= _ALONE_ROWS)
         begins = np.abs(pieces.off[pair[0]]) <= _CONTESTS
         ends = np.abs(pieces.off[:, pair[1]]) <= _CONTESTS
@@ -411,14 +423,14 @@ class _Growth:
         pieces = self.pieces
         above, below = int(pieces.bottom.row[pair[0]]), int(pieces.top.row[pair[1]])
         mine = self.number == number
-        left_over = ends & (pieces.bottom.row <= below + _THROUGH_ROWS)
-        left_over |= tops & (pieces.top.row >= above - _THROUGH_ROWS)
+        left_over = ends & (pieces.bottom.row <= below + _GOES_ON_ROWS)
+        left_over |= tops & (pieces.top.row >= above - _GOES_ON_ROWS)
         if not (left_over & mine).any():
             return False
         for group in self.groups:
             if self.given[group[0]] and self.number[group[0]] == number:
                 first, last = pieces.top.row[group].min(), pieces.bottom.row[group].max()
-                if first <= above - _THROUGH_ROWS and last >= below + _THROUGH_ROWS:
+                if first <= above - _GOES_ON_ROWS and last >= below + _GOES_ON_ROWS:
                     return False
         return not any(self.number[other[0]] == number and self._beside(pair, other) for other in self.breaks)
 
@@ -546,21 +558,13 @@ def pieces_of(peaks: Peaks, fragment: Integers, rows_min: int) -> TracedPieces:
     off, gap, faces = _offs(top, bottom, spacing)
     through = (gap > 0) & (gap <= _THROUGH_ROWS + 1) & (np.abs(off) <= _THROUGH_OFF)
     through &= np.abs(np.arctan(bottom.slope)[:, None] - np.arctan(top.slope)[None, :]) <= _THROUGH_TURN
+    # only where neither end has another candidate
     through &= (through.sum(axis=1, keepdims=True) == 1) & (through.sum(axis=0, keepdims=True) == 1)
     return TracedPieces(
-        kept,
-        top,
-        bottom,
-        _sides(pairs, spacing),
-        _left_of(peaks.row[mine], of[mine], len(kept)),
-        off,
-        gap,
-        faces,
-        through,
-        _at_border(top, peaks.image_size, spacing),
-        _at_border(bottom, peaks.image_size, spacing),
-        _spacing_at(spacing, top.x_px, top.row),
-    )
+        kept, top, bottom, _sides(pairs, spacing), _left_of(peaks.row[mine], of[mine], len(kept)), off, gap,
+        faces, through, _at_border(top, peaks.image_size, spacing),
+        _at_border(bottom, peaks.image_size, spacing), _spacing_at(spacing, top.x_px, top.row),
+    )  # fmt: skip
 
 
 class _Pairs(NamedTuple):
@@ -586,9 +590,11 @@ def _cut(part: Integers, x_px: Floats) -> list[Integers]:
     mean, slope = window.mean(axis=1), window @ (at / (at**2).sum())
     above, below = slice(0, -_CUT_ROWS), slice(_CUT_ROWS, None)  # windows that end and begin at a step
     between = 0.5 * _CUT_ROWS * (slope[above] + slope[below])
+    # step between two windows beyond what their slopes explain, square to the stripe
     aside = np.abs(mean[below] - mean[above] - between) / np.sqrt(1.0 + (between / _CUT_ROWS) ** 2)
     turn = np.abs(np.arctan(slope[above]) - np.arctan(slope[below]))
     worst = np.maximum(aside / _STEP_ASIDE_PX, turn / _TURN_MAX)
+    # where it is worst of its surroundings, so that one step makes one cut
     at_step = (worst > 1.0) & (worst >= np.roll(worst, 1)) & (worst > np.roll(worst, -1))
     return np.split(part, np.flatnonzero(at_step) + _CUT_ROWS)
 
@@ -632,6 +638,7 @@ def _spacing(pairs: _Pairs) -> Floats:
         return fit
     terms = np.column_stack([np.ones(log.size), pairs.x_px, pairs.row])
     for _ in range(_FIT_ROUNDS):
+        # robust: pairs over a missing stripe are log 2 = 0.69 off, beyond the limit
         near = np.abs(log - terms @ fit) < _FIT_WITHIN
         if near.sum() < _FIT_PAIRS_MIN:
             break

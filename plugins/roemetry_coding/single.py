@@ -108,12 +108,15 @@ class Single(Coder[SingleOptions]):
             )
         path, dearer = brightest_path(peaks.row_start, peaks.x_px, np.maximum(peaks.amplitude, 0.0))
         if path.sum() < _LINE_ROWS_MIN:
+            # a straggler of some rows is no line
             raise StageError(
                 f"a line is seen in {int(path.sum())} rows, {_LINE_ROWS_MIN} are the least",
                 hint="lower the extractor's threshold, or look at the image: is the laser on?",
             )
+        # a skipped row and a jump are the most that any other verdict costs
         margin = np.clip(dearer / (_SKIP + _JUMP), 0.0, 1.0)
         stripe = np.where(path, np.where(margin < self.options.margin_min, AMBIGUOUS, 0), UNLABELLED)
+        # beside a belt all else is product; without one there is nothing to compare with
         on_belt = calibration is not None and calibration.reference == ON_BELT
         if calibration is not None and on_belt:
             rest = calibrated_rest_lines(peaks, calibration)
@@ -155,10 +158,12 @@ def brightest_path(row_start: Integers, x_px: Floats, amplitude: Floats) -> tupl
         begin, end = row_start[row], row_start[row + 1]
         if begin == end:
             continue
+        # never 0: a row of peaks without amplitude divides by it
         brightest = 1e-12
         for p in range(begin, end):
             brightest = max(brightest, amplitude[p])
         for p in range(begin, end):
+            # 0 for the brightest of its row, whatever the row's exposure
             own[p] = 1.0 - amplitude[p] / brightest
     forward = _least(row_start, x_px, own, False)
     backward = _least(row_start, x_px, own, True)
@@ -172,10 +177,12 @@ def brightest_path(row_start: Integers, x_px: Floats, amplitude: Floats) -> tupl
         begin, end = row_start[row], row_start[row + 1]
         mine = -1
         for p in range(begin, end):
+            # within rounding of the best: sums forwards and backwards add in another order
             if through[p] <= best + _ROUNDED and mine < 0:
                 mine = p
         if mine < 0:
             continue
+        # leaving the row out is always possible
         second = best + _SKIP + _JUMP
         for p in range(begin, end):
             if p != mine:
@@ -193,6 +200,7 @@ def _least(row_start: Integers, x_px: Floats, own: Floats, backwards: bool) -> F
     earlier = 0.0  # the same without the row before
     for done in range(rows):
         row = rows - 1 - done if backwards else done
+        # from anywhere before: a jump
         jumped = so_far + (0.0 if done == 0 else _JUMP)
         for p in range(row_start[row], row_start[row + 1]):
             best = jumped
@@ -200,14 +208,17 @@ def _least(row_start: Integers, x_px: Floats, own: Floats, backwards: bool) -> F
                 if back == 2 and earlier + _SKIP - _ROUNDED >= best:
                     break  # nearly always: no path over an earlier row is as cheap
                 other = row + back if backwards else row - back
+                # not even the cheapest peak of that row, and a level step, would be better
                 if cheapest[other] + (back - 1) * _SKIP >= best:
                     continue
                 for q in range(row_start[other], row_start[other + 1]):
+                    # slope over the rows between; capped, for an edge breaks the line
                     step = min(abs(x_px[p] - x_px[q]) / (back * _STEEP_PX), _JUMP)
                     best = min(best, cost[q] + step + (back - 1) * _SKIP)
             cost[p] = best + own[p]
         for p in range(row_start[row], row_start[row + 1]):
             cheapest[row] = min(cheapest[row], cost[p])
+        # the best path so far either skips this row or ends in it
         least = min(so_far + _SKIP, cheapest[row])
         earlier, so_far = so_far, least
     return cost

@@ -93,6 +93,7 @@ def tear_of(
         Their smallest distance.
     """
     # to whole or half pixels, as by middles of runs
+    # eight peaks tell most frames apart; only of those that look rounded all are asked
     rounded = all(float(2.0 * x).is_integer() for x in x_px[:8])
     if rounded:
         twice = 2.0 * x_px
@@ -102,12 +103,16 @@ def tear_of(
         row_start, x_px, lines_px, _REACH_SHARE * spacing_px, _OFF_BELT_PX, _BELT_PX, _STEP_MAX_PX,
         _STRIPES_MIN, _SAMPLED_ROWS, _TIMES_USUAL, least_px,
     )  # fmt: skip
+    # jumps first: they need no belt, and are plain where they are
     if row >= 0 and jump_px >= max(least_px, _TIMES_USUAL * usual_px):
         return Tear(row, jump_px)
+    # whole pixels hide shifts of hundredths
     if shift_row < 0 or rounded:
         return None
+    # a bend in the lines goes on behind the worst place; a shift does not
     if shift_px >= max(_SHIFT_MIN_PX, _TIMES_USUAL * usual_shift_px) and not bends:
         return Tear(shift_row, shift_px, of_belt=True)
+    # too small for itself: the grain must break off within some rows of it
     if shift_px >= _SHIFT_WITH_GRAIN_PX:
         row, change, next_change = _grain(
             row_start, x_px, amplitude, lines_px, shift_row - _GRAIN_ROWS, shift_row + _GRAIN_ROWS,
@@ -152,6 +157,7 @@ def _largest_jump(
             np.uint64(row_start[row + 2]),
         )
         slipped, large_slips = np.uint64(0), np.uint64(0)
+        # counted by peaks alone at first: cheap, and most rows of a frame are bare belt
         bare = told_apart and end - begin == wide and stop - end == wide
         if bare:  # as most rows: every stripe on its own line, here and in the next row
             off_rest = np.uint64(0)
@@ -173,12 +179,14 @@ def _largest_jump(
             for p in range(begin, end):
                 x = x_px[p]
                 off = abs(x - lines[line])
+                # peaks and lines both rise along the row, so the nearest line only moves on
                 while line < last:
                     to_next = abs(x - lines[line + one])
                     if not to_next < off:
                         break
                     line, off = line + one, to_next
                 on_product[p] = off > off_belt_px
+                # for the belt's shift, by blocks of rows
                 if off <= belt_px:
                     stripe = line - np.uint64(row * stripes)
                     off_sum[block, stripe] += x - lines[line]
@@ -186,6 +194,7 @@ def _largest_jump(
                 if nearest == stop:
                     continue
                 way = x_px[nearest] - x
+                # as for lines: the nearest peak of the next row only moves on
                 while nearest + one < stop:
                     farther = x_px[nearest + one] - x
                     if abs(farther) > abs(way):
@@ -198,6 +207,7 @@ def _largest_jump(
                 if on_product[p]:
                     of_product[row] += 1
                 elif slipped < room:
+                    # on the belt a slope is that of the rest line, and no jump
                     slip = way - (lines[line + wide] - lines[line])
                     slips[slipped] = slip
                     large_slips += np.uint64(abs(slip) >= least_px)
@@ -214,6 +224,7 @@ def _largest_jump(
         for p in range(np.uint64(row_start[row]), np.uint64(row_start[row + 1])):
             if count >= room:
                 break
+            # four rows of one stripe: the step in the middle against those before and after
             third = np.uint64(after[p])
             if third == none or not on_product[p]:
                 continue
@@ -228,6 +239,7 @@ def _largest_jump(
         if count >= stripes_min and (row % sampled == 0 or 4 * large >= 3 * count):
             _note(median_of(jumps[:count]), row, row % sampled == 0, 0, counted, total, worst, most)
     usual = total / np.maximum(counted, 1.0)
+    # product first; the belt only where no product jumps enough
     kind = 0 if most[0] >= max(least_px, times_usual * usual[0]) else 1
     return worst[kind], most[kind], usual[kind], *_shift(off_sum, near, sampled)
 
@@ -246,6 +258,7 @@ def _grain(
     rows = row_start.size - 1
     first_row, last_row = max(first_row, 1), min(last_row, rows - 3)
     low, high = max(first_row - beside - 2, 0), min(last_row + beside + 2, rows - 1)
+    # sums forget by one part in `beside` a row, so they reach over some eight rows
     fading = 1.0 - 1.0 / beside
     start, size = row_start[low], row_start[high + 1] - row_start[low]
     after, before = np.full(size, -1), np.full(size, -1)
@@ -276,11 +289,15 @@ def _grain(
     moved, brighter = np.full(size, -1.0), np.full(size, -1.0)  # squares of the changes; -1: none
     for p in range(size):
         a, c = before[p], after[p]
+        # four peaks of a stripe: b and c on either side of the boundary, a before, d behind
         d = -1 if c < 0 else after[c]
         if a >= 0 and d >= 0:
             b = p + start
             a, c, d = a + start, c + start, d + start
+            # c − b less a quarter of the changes before and after it: (5 (c − b) − (d − a)) / 4, free of
+            # slopes
             moved[p] = (1.25 * (x_px[c] - x_px[b]) - 0.25 * (x_px[d] - x_px[a])) ** 2
+            # relative to the light, so that bright stripes count no more than dim ones
             light = amplitude[b] + amplitude[c]
             if light > 0.0:
                 brighter[p] = (
@@ -309,6 +326,7 @@ def _grain(
                 continue
             if kind[p] == 0 or above[p] < from_rim or below[p] <= from_rim:
                 continue
+            # the usual change is of rows above b and below c: the boundary itself is in neither
             known = rows_up[before[p]] + rows_down[after[p]]
             usual_moved = moved_up[before[p]] + moved_down[after[p]]
             usual_brighter = brighter_up[before[p]] + brighter_down[after[p]]
@@ -324,6 +342,7 @@ def _grain(
         return -1, 0.0, 0.0
     elsewhere = 0.0
     for row in range(first_row, last_row + 1):
+        # what else breaks off near here: edges of JPEG blocks do every eight rows
         if abs(row - worst) > 2:
             elsewhere = max(elsewhere, change[row])
     return worst, change[worst], elsewhere
@@ -365,6 +384,7 @@ def _shift(off_sum: Floats, near: Floats, sampled: int) -> tuple[int, float, flo
     shift, shifts, middle = np.zeros(blocks), np.empty(stripes), np.empty(blocks)
     sure = np.zeros(blocks)  # the scatter of a median of few stripes is larger by the root of their number
     known, full = 0, _SHIFT_FULL * _SHIFT_BLOCKS * sampled
+    # running sums, so that any run of blocks is a difference
     for k in range(1, blocks):
         for s in range(stripes):
             off_sum[k, s] += off_sum[k - 1, s]
@@ -374,6 +394,7 @@ def _shift(off_sum: Floats, near: Floats, sampled: int) -> tuple[int, float, flo
         for s in range(stripes):
             above = near[k, s] - near[k - _SHIFT_BLOCKS, s]
             below = near[k + _SHIFT_BLOCKS, s] - near[k, s]
+            # belt on nearly all rows of both runs: a stripe that a product covers tells nothing
             if above > full and below > full:
                 shifts[count] = (off_sum[k + _SHIFT_BLOCKS, s] - off_sum[k, s]) / below
                 shifts[count] -= (off_sum[k, s] - off_sum[k - _SHIFT_BLOCKS, s]) / above
@@ -385,6 +406,7 @@ def _shift(off_sum: Floats, near: Floats, sampled: int) -> tuple[int, float, flo
             known += 1
     if known < 2 * _SHIFT_BLOCKS:
         return -1, 0.0, 0.0, False
+    # the median over the frame is no tear
     turned = median_of(middle[:known])  # of a camera that has turned: the same everywhere
     known, worst, most = 0, -1, 0.0
     for k in range(_SHIFT_BLOCKS, blocks - _SHIFT_BLOCKS):
@@ -396,6 +418,7 @@ def _shift(off_sum: Floats, near: Floats, sampled: int) -> tuple[int, float, flo
     usual = median_of(middle[:known])
     if worst < 0:
         return -1, 0.0, 0.0, False
+    # in px again, after comparing by certainty
     most, usual = most / sure[worst], usual / sure[worst]
     bends = False
     for k in (worst - _SHIFT_BLOCKS, worst + _SHIFT_BLOCKS):

@@ -63,6 +63,7 @@ class TwoFamilies(Coder[PlanesOptions]):
             except StageError as error:
                 raise StageError(f"lines of the {name} colour: {error.message}", hint=error.hint) from error
             label = coded.peak_stripe.astype(np.int64)
+            # stripes take turns: the first family has the even numbers
             stripe[mine] = np.where(label >= 0, 2 * label + family, label)
             own = np.flatnonzero(label >= 0)
             margin[mine[own]] = coded.margin[label[own], peaks.row[mine[own]]]
@@ -97,6 +98,7 @@ class TwoFamilies(Coder[PlanesOptions]):
             together = Planes(self.options).code(replace(peaks, family=None), calibration).peak_stripe
         except StageError:  # of one colour they are too dense: that says nothing
             return np.zeros(len(peaks), np.bool_)
+        # a line of the other colour says nothing
         known = (together >= 0) & (stripe >= 0) & (together % 2 == peaks.family)
         runs = _runs_of(peaks, stripe, calibration.stripe_count)
         return runs.beside(known & (together != stripe), known)
@@ -158,6 +160,7 @@ def _runs_of(peaks: Peaks, stripe: Integers, stripes: int) -> _Runs:
     x_px[stripe[on], peaks.row[on]] = peaks.x_px[on]
     with np.errstate(invalid="ignore"):
         goes_on = np.abs(np.diff(x_px, axis=1, prepend=np.nan)) < _STEP_PX
+    # a new number where a run begins
     run = np.cumsum(np.isfinite(x_px) & ~goes_on).reshape(x_px.shape) - 1
     of = np.full(len(peaks), -1)
     of[on] = run[stripe[on], peaks.row[on]]
@@ -174,6 +177,7 @@ def _off_the_other(peaks: Peaks, stripe: Integers, calibration: Calibration) -> 
     z = np.full((calibration.stripe_count, peaks.image_size[0]), np.nan)
     z[place] = view.lift(np.column_stack([peaks.x_px[on], peaks.row[on]]), stripe[on])[:, 2]
     between = np.full_like(z, np.nan)
+    # the surface at a line, by the lines of the other family on both sides
     between[1:-1] = 0.5 * (z[:-2] + z[2:])
     known, bad = np.zeros(len(peaks), np.bool_), np.zeros(len(peaks), np.bool_)
     known[on] = np.isfinite(between + z)[place]

@@ -1,4 +1,9 @@
-"""From labelled peaks to a dense stripe map: belt or product, short gaps bridged, products numbered."""
+"""From labelled peaks to a dense stripe map: belt or product, short gaps bridged, products numbered.
+
+Gaps that are short enough are bridged by straight lines. Points off the rest lines that hang together along
+and across stripes are one product, or, if they are few, dirt. Thin ends are judged by the side to which
+products displace stripes, which is one in a frame. It fails where two products touch: they are one.
+"""
 
 from __future__ import annotations
 
@@ -227,6 +232,7 @@ def off_belt_and_bridged(
                 for k in range(begin, end):
                     off_belt[s, seen[k]], near[s, seen[k]] = False, thin
             else:
+                # which way products displace stripes here
                 rising += sign
             begin = end
     if any_near and rising != 0:
@@ -278,6 +284,7 @@ def _keep_thin(x_px: Floats, rest_px: Floats, off_belt: Flags, near: Flags, side
                         right += side * (x_px[s, row] - rest_px[s, row]) > 0.0
                         beside += off_belt[s - step, row]
                     row += 1
+                # all on the product's side, and beside product in more than half of the rows
                 if right == count < 2 * beside:
                     for r in range(begin, row):
                         off_belt[s, r] |= near[s, r]
@@ -406,6 +413,7 @@ def _joined(x_px: Floats, off_belt: Flags) -> Flags:
     """Give what lies off the belt, with what is not seen between it."""
     stripes, rows = x_px.shape
     filled = off_belt.copy()
+    # across the stripes first, then along them
     for s in range(1, stripes - 1):
         for row in range(rows):
             if np.isnan(x_px[s, row]) and off_belt[s - 1, row] and off_belt[s + 1, row]:
@@ -424,6 +432,7 @@ def _joined(x_px: Floats, off_belt: Flags) -> Flags:
 @kernel
 def _root(parent: Integers, cell: int) -> int:
     while parent[cell] != cell:
+        # ways to the root are halved on the way
         parent[cell] = parent[parent[cell]]
         cell = parent[cell]
     return cell

@@ -57,6 +57,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         return njit(**_LEAN, **options)(function)
     from roemetry_kernels.kernel_cache import NAMES, compiled_in_turns, say
 
+    # numba asks for locators while it decorates
     before = config.CACHE_LOCATOR_CLASSES
     config.CACHE_LOCATOR_CLASSES = NAMES
     try:

@@ -37,6 +37,7 @@ def refuse_disorder(row: Integers, stripe: Integers, refused: int) -> int:
         if own < 0:
             continue
         labelled += 1
+        # either may be the wrong one: both are refused
         if before >= 0 and row[before] == row[p] and own <= left:
             labelled -= (stripe[before] >= 0) + 1
             stripe[before] = stripe[p] = refused
@@ -116,6 +117,7 @@ def doubt_beside_gaps(
     if asks_height:
         hiding = np.zeros((stripes, rows), np.bool_)
         for r in range(rows):
+            # from there on a displaced stripe may hide another
             high_px[r] = HIDING_SPACINGS * median_of(rest_px[1:, r] - rest_px[:-1, r])
     for p in range(row.size):
         s, r = stripe[p], row[p]
@@ -125,6 +127,7 @@ def doubt_beside_gaps(
         if s < 0:
             if s != AMBIGUOUS or (line[p] >= 0 and on_bodies_too):
                 continue
+            # what was refused lies on the stripe that it is nearest to
             s = np.abs(rest_px[:, r] - x_px[p]).argmin()
         body[s, r] = True
         if asks_height and abs(x_px[p] - rest_px[s, r]) >= high_px[r]:
@@ -139,6 +142,7 @@ def doubt_beside_gaps(
             if before >= 0 and r - before > longest_gap_rows + 1:
                 unexplained[:] = False
                 for at in range(before + 1, r):
+                    # hidden on a body of its own, or by a stripe near by
                     hidden = body[s, at]
                     for other in range(max(0, s - _REACH_STRIPES), min(stripes, s + _REACH_STRIPES + 1)):
                         hidden = hidden or hiding[other, at]

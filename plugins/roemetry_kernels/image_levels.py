@@ -70,6 +70,7 @@ def clipped_beyond(frame: Frame, row: Integers, x_px: Floats) -> NDArray[np.uint
     """
     flags = np.zeros(row.shape[0], np.uint8)
     if frame.headroom:
+        # both pixels beside the centre
         for one in (np.floor(x_px), np.ceil(x_px)):
             at = np.clip(one.astype(np.int64), 0, frame.size[1] - 1)
             flags[frame.pixels[row, at] >= frame.white] = SATURATED
@@ -125,6 +126,7 @@ def automatic_rise(image: NDArray[Any], white: int, top: int, bottom: int, left:
 
 
 def _noise_of(low: int) -> float:
+    # a difference has the variance of both pixels
     return math.sqrt(low / (_BLOCK - 1.0) / 2.0) / _QUANTILE_OF_CHI
 
 
@@ -156,6 +158,7 @@ def _low_sum(
                 total += step * step
             sums[r * a_row + n] = total
             counts[min(total, _SUMS - 1)] += 1
+    # small sums are counted instead of sorted
     wanted = int(_QUANTILE * (sums.size - 1))
     upto: Any = 0
     for low in range(_SUMS - 1):
@@ -230,6 +233,7 @@ def usual_height(row: NDArray[Any], x_px: Floats, amplitude: Floats) -> float:
     for i in range(count - 1, -1, -1):
         goes_on[i] |= rows_before[i] >= on
         any_goes_on |= goes_on[i]
+        # back along the stripe: what leads to such a peak goes on, too
         if goes_on[i] and before[i] >= 0:
             goes_on[before[i]] = True
     rows, last = 0, -1

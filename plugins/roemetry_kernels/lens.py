@@ -56,7 +56,9 @@ def distorted_place(x: float, y: float, lens: Lens) -> tuple[float, float, float
     k1, k2, p1, p2, k3, k4, k5, k6 = lens
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    # dR/dx = slope · x, and for y alike
     slope = 2.0 * k1 + r2 * (4.0 * k2 + 6.0 * r2 * k3)
+    # most lenses have no denominator
     if k4 != 0.0 or k5 != 0.0 or k6 != 0.0:
         below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
         radial /= below
@@ -80,6 +82,7 @@ def undistorted_place(
     xx, xy, yy, good = 1.0, 0.0, 1.0, False
     for _ in range(_STEPS_MAX):
         at_x, at_y, xx, xy, yy = distorted_place(x, y, lens)
+        # the Jacobian is symmetric; its inverse times what is left
         determinant = xx * yy - xy * xy
         step_x = (yy * (at_x - bent_x) - xy * (at_y - bent_y)) / determinant
         step_y = (xx * (at_y - bent_y) - xy * (at_x - bent_x)) / determinant
@@ -118,6 +121,7 @@ def rays_through(xy_px: Floats, camera: Floats, pose: Floats) -> tuple[Floats, F
     for k in range(xy_px.shape[0]):
         bent_x, bent_y = (xy_px[k, 0] - camera[2]) / camera[0], (xy_px[k, 1] - camera[3]) / camera[1]
         x, y, xx, xy, yy, good = undistorted_place(bent_x, bent_y, bent_x, bent_y, lens, _STEP_END)
+        # where the lens folds the image there is no line of sight
         if not (good and xx * yy - xy * xy > 0.0 and xx + yy > 0.0):
             x, y = np.nan, np.nan
         length = math.sqrt(x * x + y * y + 1.0)

@@ -1,4 +1,8 @@
-"""Where dots meet their rays, compiled: `roemetry.records.light.meet`, which tests hold against it."""
+"""Where dots meet their rays, compiled: `roemetry.records.light.meet`, which tests hold against it.
+
+It assumes a pinhole with up to eight numbers of a lens; others go to numpy. It gives NaN where the lens folds
+the image, and behind the camera.
+"""
 
 from __future__ import annotations
 
@@ -41,6 +45,7 @@ def _met(
         noise_xy = 0.5 * (covariance_px2[n, 0, 1] + covariance_px2[n, 1, 0])
         unknown = math.isnan(noise_xx + noise_yy + noise_xy)
         if unknown:
+            # where nothing is stated only the place is of use
             noise_xx, noise_xy, noise_yy = 1.0, 0.0, 1.0
         # the height at which the ray passes nearest to the line of sight
         distorted_x, distorted_y = (
@@ -72,9 +77,11 @@ def _met(
                 right += pose[k, 0] * away
                 down += pose[k, 1] * away
                 ahead += pose[k, 2] * away
+            # behind the camera nothing is seen
             over = 1.0 / ahead if ahead > 0.0 else np.nan
             x, y = right * over, down * over
             at_x, at_y, xx, xy, yy = lens.distorted_place(x, y, around)
+            # derivatives of the pixel by the point: pinhole, then lens
             for k in range(3):
                 straight_x = (pose[k, 0] - x * pose[k, 2]) * over
                 straight_y = (pose[k, 1] - y * pose[k, 2]) * over
@@ -97,8 +104,10 @@ def _met(
             strength = pull_x * slope_x + pull_y * slope_y
             off_x = xy_px[n, 0] - (camera[0] * at_x + camera[2])
             off_y = xy_px[n, 1] - (camera[1] * at_y + camera[3])
+            # Gauss and Newton's step in height, weighed by both covariances
             step = (pull_x * off_x + pull_y * off_y) / strength
             z += step
+        # what the last step leaves
         off_x, off_y = off_x - slope_x * step, off_y - slope_y * step
         squared = (s_yy * off_x**2 - 2.0 * s_xy * off_x * off_y + s_xx * off_y**2) / determinant
         found[0, n], found[1, n], found[2, n] = z, slope_x, slope_y

@@ -1,6 +1,9 @@
 """Where the stripes lie on the bare belt: from the calibration, or from the frame's own top and bottom.
 
 What the order of peaks along a row says about their stripes stands here, too.
+
+It assumes bare belt at the image's top and bottom, which tell how far the belt's peaks scatter and whether
+anything has moved. It fails where products lie in most of these rows.
 """
 
 from __future__ import annotations
@@ -150,6 +153,7 @@ def rest_lines_of_frame(
     last = np.full(fragments, -1, np.int64)
     np.minimum.at(first, fragment, peaks.row)
     np.maximum.at(last, fragment, peaks.row)
+    # shorter fragments do not tell where a line runs
     long_enough = last - first >= end_rows
     top = _ends(peaks, fragment, np.flatnonzero(long_enough & (first < end_rows)), end_rows, at_top=True)
     bottom = _ends(
@@ -165,6 +169,7 @@ def rest_lines_of_frame(
             "or give a calibration, which knows the rest lines",
         )
     x_px = np.array([_line(a, b, rows) for a, b in zip(top, bottom, strict=True)])
+    # as lines move, others are the peaks near them
     for _ in range(3):
         x_px = _refined(peaks, x_px)
     return _with_peaks(peaks, x_px, np.ascontiguousarray(x_px.T))._replace(offset_px=0.0)
@@ -198,6 +203,7 @@ def _on_lines(
     lines = by_row.reshape(-1)
     for row in range(row_start.size - 1):
         begin, end = row_start[row], row_start[row + 1]
+        # most rows: as many peaks as lines, each on its own
         if end - begin == stripes and _each_on_its_own(lines, row * stripes, stripes, x_px, begin):
             for k in range(np.uint64(stripes)):
                 line[np.uint64(begin) + k] = k
@@ -303,6 +309,7 @@ def _refined(peaks: Peaks, rest_px: Floats) -> Floats:
         if mine.sum() < 20:
             continue
         off = distance[mine]
+        # weights 1/|r|: least absolute deviations by least squares
         weight = 1.0 / np.maximum(np.abs(off - np.median(off)), 0.25)
         slope, shift = np.polyfit(peaks.row[mine], off, 1, w=np.sqrt(weight))
         refined[stripe] += shift + slope * rows

@@ -1,4 +1,8 @@
-"""Least squares that let single places go their own way: Cauchy's weights, reweighted round by round."""
+"""Least squares that let single places go their own way: Cauchy's weights, reweighted round by round.
+
+It assumes that most places follow the terms, for the scatter is told by a median. It fails where more than
+half of them go their own way.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +60,9 @@ def robust_fit(
         off = wanted - fit[0] * rows[0]
         for a in range(1, terms):
             off -= fit[a] * rows[a]
+        # 1.4826: from a median to a standard deviation
         scatter = max(1.4826 * median_of(np.abs(off)), least)
+        # a half at two standard deviations
         weight = base / (1.0 + (off / (2.0 * scatter)) ** 2)
     return fit, weight, off
 
@@ -65,6 +71,7 @@ def robust_fit(
 def solve(normal: Floats, right: Floats) -> None:
     """Solve positive definite equations by Cholesky's factors of the lower triangle; both are overwritten."""
     count = right.size
+    # row by row the factor L, and y of L y = right
     for a in range(count):
         for b in range(a + 1):
             rest = normal[a, b]
@@ -74,6 +81,7 @@ def solve(normal: Floats, right: Floats) -> None:
         for c in range(a):
             right[a] -= normal[a, c] * right[c]
         right[a] /= normal[a, a]
+    # then x of L′ x = y
     for a in range(count - 1, -1, -1):
         for c in range(a + 1, count):
             right[a] -= normal[c, a] * right[c]

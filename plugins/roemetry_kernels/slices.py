@@ -1,4 +1,8 @@
-"""Slices of a product as arrays: their points by product, smoothed along each curve."""
+"""Slices of a product as arrays: their points by product, smoothed along each curve.
+
+It assumes points at even distances along a curve, as rows are. It fails to keep what is shorter than the
+window.
+"""
 
 from __future__ import annotations
 
@@ -70,16 +74,19 @@ def smoothed_curves(values: Floats, first: Integers, size: Integers, window: int
     out = values.copy()
     for curve in range(first.size):
         begin, count = first[curve], size[curve]
+        # the longest odd window that fits
         odd = min(window, count - (count + 1) % 2)
         if odd < 3:
             continue
         half = odd // 2
+        # mean of t² over the window
         mean = half * (half + 1) / 3.0
         of_line, of_bow = 0.0, 0.0
         for t in range(-half, half + 1):
             of_line += t * t
             of_bow += (t * t - mean) ** 2
         for at in range(count):
+            # at a curve's end the window stays and the place moves within it
             start = min(max(at - half, 0), count - odd)
             place = float(at - start - half)
             for k in range(values.shape[1]):

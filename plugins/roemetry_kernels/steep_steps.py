@@ -78,9 +78,11 @@ def _counting_made(kind: type[np.unsignedinteger[Any]]) -> Any:
                     high[x], low[x] = max(high[x], pixels[y, x]), min(low[x], pixels[y, x])
                 y += one
             high[wide], low[wide] = high[wide - one], low[wide - one]
+            # two columns that differ by no more over all of the band hold no step
             for x in range(wide):
                 most, lowest = max(high[x], high[x + one]), min(low[x], low[x + one])
                 lit[x] = kind(most - lowest) > enough
+            # only from the first such word to the last
             begin, last = 0, words.shape[0]
             while begin < last and words[begin] == 0:
                 begin += 1

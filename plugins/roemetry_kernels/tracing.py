@@ -1,4 +1,8 @@
-"""Tracing peaks from row to row into fragments."""
+"""Tracing peaks from row to row into fragments.
+
+It assumes that a stripe moves from row to row by less than its distance from the next one. It fails where it
+moves farther: it is cut there, or goes on as the other if each is nearest to the other.
+"""
 
 from __future__ import annotations
 
@@ -32,6 +36,7 @@ def trace_fragments(row_start: Integers, x_px: Floats, step_max_px: float) -> tu
     count = 0
     for row in range(row_start.shape[0] - 1):
         begin, end = row_start[row], row_start[row + 1]
+        # what goes on with nothing begins a fragment
         for p in range(begin, end):
             if fragment[p] < 0:
                 fragment[p] = count
@@ -43,6 +48,7 @@ def trace_fragments(row_start: Integers, x_px: Floats, step_max_px: float) -> tu
             q = _nearest(x_px, end, next_end, x_px[p])
             if q < 0 or abs(np.rint(x_px[q]) - np.rint(x_px[p])) > step_max_px:
                 continue
+            # only where each is the other's nearest
             if _nearest(x_px, begin, end, x_px[q]) == p:
                 fragment[q] = fragment[p]
     return fragment, count
@@ -138,6 +144,7 @@ def cut_in_order(
     length = np.zeros(fragments + 1, np.int64)
     for p in range(peaks):
         length[fragment[p] + 1] += 1
+    # sorted by fragment, by counting
     start = np.cumsum(length)
     order, state = np.empty(peaks, np.int64), np.empty(peaks, np.int64)
     fill = start[:-1].copy()
@@ -153,6 +160,7 @@ def cut_in_order(
         first = count
         runs = _runs(state, start[f], start[f + 1], flicker_rows, run_line, run_start)
         for k in range(runs):
+            # a run that is too short is on no line
             own = run_line[k] if run_start[k + 1] - run_start[k] >= belt_rows_min else -1
             if count == first or own != segment_line[count - 1]:
                 segment_line[count], segment_start[count] = own, run_start[k]
@@ -175,6 +183,7 @@ def _runs(
     for k in range(begin, end):
         if k > begin and state[k] == state[k - 1]:
             continue
+        # back on the same line after a few rows
         again = count > 1 and run_line[count - 1] == -1 and run_line[count - 2] == state[k]
         if again and k - run_start[count - 1] <= flicker_rows:
             count -= 1

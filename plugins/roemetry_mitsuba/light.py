@@ -145,6 +145,7 @@ class Tracer:
         # opaque, so that another rig or light does not compile the kernels anew
         opaque = [*fan.origin_mm, *fan.axis, fan.sigma_mm, fan.waist_mm, fan.divergence_rad, fan.fall_rad]
         opaque += fan.runs
+        # light is told where the fan's middle meets the belt
         middle = np.array([fan.x_mm(0.0, 0.0).mean(), 0.0, 0.0])
         self._reference_mm = float(np.linalg.norm(fan.origin_mm - middle))
         opaque.append(self._reference_mm)
@@ -160,6 +161,7 @@ class Tracer:
         count = self._samples**2
         # neighbouring pixels take phases far apart, so that the PSF averages what lamps leave of grain
         row, column = np.divmod(np.arange(shape[0] * shape[1]), shape[1])
+        # powers of 1/1.3247, the plastic number: even over both directions (Roberts 2018)
         spin = ((0.7548776662466927 * column + 0.5698402909980532 * row) % 1.0).astype(np.float32)
         summed = np.zeros((5, shape[0] * shape[1]), dtype=np.float64)
         for k in range(count):
@@ -169,6 +171,7 @@ class Tracer:
             summed += np.stack(parts)
         summed /= count
         light, other, albedo, albedo_body, _ = summed.reshape(5, *shape)
+        # nodes give irradiance; the pixel's own albedo sends it on
         if bounce_rays:
             from_laser, from_rest = self._bounced(lamps, laser, bounce_rays, rng)
             light = light + albedo * from_laser
@@ -204,10 +207,12 @@ class Tracer:
         else:
             # every pixel meets all places of the aperture, in an order of its own
             place = (k + np.floor(spin * n * n)) % (n * n)
+            # even in area by the root, turned by the golden angle (Vogel's spiral)
             r = self._lens.aperture_mm * np.sqrt((place + 0.5) / (n * n))
             turn = 2.399963229728653 * place
             u, v = r * np.cos(turn), r * np.sin(turn)
             at = np.stack([u, v, 0 * u], axis=-1)
+            # all rays of a pixel meet where the lens is sharp
             goal = self._lens.focus_mm * np.stack([x, y, np.ones_like(x)], axis=-1)
             origin = self._point(self._camera.centre_mm + at @ rotation.T)
             way = (goal - at) @ rotation.T
@@ -223,12 +228,14 @@ class Tracer:
         active = si.is_valid()
         on_body = active & (si.shape != self._belt)
         surface, seen = self._surface(si, on_body), si.wi
+        # what nodes' light is multiplied by afterwards
         albedo = dr.select(active, diffuse(dr, surface, mi.Float(1.0), seen.z), 0.0)
         share = dr.opaque(mi.Float, 0.0 if self._below is None else self._below[1])
         light, other = mi.Float(0.0), mi.Float(0.0)
         spin = mi.Float(ring)
         if laser:
             e, wo, lit = self._laser(si, active)
+            # what is scattered inside comes back by the dipole, not here
             keep = dr.select(on_body, 1.0 - share, 1.0)
             given = keep * diffuse(dr, surface, wo.z, seen.z)
             if self._has_gloss:
@@ -236,6 +243,7 @@ class Tracer:
             light += dr.select(lit, e * given, 0.0)
         other += self._lamps(si, surface, lamps, spin, disc, active)
         if self._has_gloss:
+            # mirrored light: one ray of the glossy lobe, and what it meets
             wo, weight = sample_glossy(mi, surface, seen, mi.Float(u[0]), mi.Float(u[1]))
             ahead = active & (weight > 0.0)
             a, b = self._trace_bounce(si.spawn_ray(si.to_world(wo)), lamps, laser, spin, disc, ahead)
@@ -262,6 +270,7 @@ class Tracer:
                 given += glossy(dr, surface, met.wi, wo)
             light = dr.select(lit, e * given, 0.0)
         sky = dr.opaque(mi.Float, lamps.sky_grey)
+        # a surface that leans by θ sees (1 + cos θ)/2 of the sky
         white = diffuse(dr, surface, mi.Float(1.0), met.wi.z) * (0.5 + 0.5 * met.sh_frame.n.z)
         above = active & ~hit & (ray.d.z > 0.0)
         other = dr.select(hit, sky * white, dr.select(above, sky, 0.0))
@@ -274,6 +283,7 @@ class Tracer:
         for look in (self._body_look, self._belt_look):
             u, v = (row[0] * si.p.x + row[1] * si.p.y + row[2] * si.p.z + row[3] for row in look.uv)
             wet = 0.0 if look.wet is None else look.wet.eval(mi.Point2f(u, v))[0]
+            # a wet spot has a film's full gloss, and is smoother
             gloss = look.gloss + (1.0 - look.gloss) * wet
             found.append((look.albedo.eval(mi.Point2f(u, v))[0], gloss, look.roughness * (1.0 - 0.75 * wet)))
         albedo, gloss, roughness = (
@@ -294,7 +304,7 @@ class Tracer:
         return _Look(
             texture(material.albedo),
             uv,
-            dr.opaque(mi.Float, min(1.0, 10.0 * material.gloss)),
+            dr.opaque(mi.Float, min(1.0, 10.0 * material.gloss)),  # 0.1 and more: the full reflection
             dr.opaque(mi.Float, material.roughness),
             None if material.wet is None else texture(material.wet),
         )
@@ -303,19 +313,24 @@ class Tracer:
         """Irradiance by the laser's sheets before the cosine, its direction (local), where it is not 0."""
         mi, dr = self._mi, self._dr
         ox, oy, oz, ax, ay, az, sigma, waist, divergence, fall, low, high, reference = self._constants
+        # rays may be told in the product's frame: back to the rig's
         beam = si.p + self._moved - mi.Point3f(ox, oy, oz)
         away = dr.norm(beam)
         way = beam / away
+        # the sheet's deviation by its waist and its divergence
         wide = dr.sqrt(sigma * sigma + dr.square(divergence * (away - waist)))
         total = mi.Float(0.0)
         for i in range(len(self._fan.normals)):
             n = [dr.gather(mi.Float, self._planes, mi.UInt32(4 * i + m)) for m in range(4)]
             side = (n[0] * beam.x + n[1] * beam.y + n[2] * beam.z) / wide
             total += n[3] * dr.exp(-0.5 * side * side)
+        # cosine with the line's axis: where along the line
         run = way.x * ax + way.y * ay + way.z * az
         angle = dr.asin(run) / fall
+        # a wider sheet is fainter, and the fan thins out by 1/distance
         total *= dr.exp(-0.5 * angle * angle) * (sigma / wide) * (reference / away)
         wo = si.to_local(-way)
+        # the face itself must look at the light, whatever its interpolated normal says
         lit = (
             active
             & (run >= low)
@@ -324,6 +339,7 @@ class Tracer:
             & (total > _FAINTEST)
             & (dr.dot(si.n, -way) > 0.0)
         )
+        # and nothing stands between
         lit &= ~self._scene.ray_test(si.spawn_ray_to(mi.Point3f(ox, oy, oz) - self._moved), lit)
         return dr.select(lit, total, 0.0), wo, lit
 
@@ -343,6 +359,7 @@ class Tracer:
             found += self._lamp(si, surface, to, wo, k * (to.z / away) / (away * away), active)
         if lamps.stray_grey > 0.0:
             at = np.array(lamps.stray_mm)
+            # two directions across the way to the lamp, for its disc
             side = np.cross(at, [0.0, 0.0, 1.0]) if np.hypot(*at[:2]) > 1e-6 else np.array([1.0, 0.0, 0.0])
             side /= np.linalg.norm(side)
             over = np.cross(at, side) / np.linalg.norm(at)
@@ -388,9 +405,11 @@ class Tracer:
         # a rank-1 lattice, shifted anew at each node
         u = (((k + 0.5) / rays)[None] + rng.random((count, 1))) % 1.0
         v = ((k * 0.6180339887498949)[None] + rng.random((count, 1))) % 1.0
+        # drawn by the cosine, so that the plain mean is irradiance
         r, turn = np.sqrt(u), 2 * np.pi * v
         local = np.stack([r * np.cos(turn), r * np.sin(turn), np.sqrt(1.0 - u)])
         way = _to_world(n.reshape(-1, 3), local).reshape(-1, 3)
+        # a µm above the surface, or rays would meet it again
         start = np.repeat((p + 1e-3 * n).reshape(-1, 3), rays, axis=0)
         active = mi.Bool(np.repeat(there.ravel(), rays))
         ray = mi.Ray3f(self._vector(start, point=True), self._vector(way))
@@ -419,6 +438,7 @@ class Tracer:
         corners = np.concatenate([body.points_mm for body in self._bodies]) - start
         away = np.linalg.norm(corners, axis=1)
         angles = np.arcsin(corners @ fan.axis / away)
+        # beams STEP_MM apart at the bodies' mean distance
         step = STEP_MM / float(away.mean())
         first = float(angles.min()) - 2.0 * step
         angle = first + step * np.arange(int((angles.max() - first) / step) + 3)
@@ -426,6 +446,7 @@ class Tracer:
         across = np.cross(fan.axis, fan.normals)
         across *= -np.sign(across[:, 2:])
         way = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * fan.axis
+        # Gauss and Hermite's nodes and weights, across the sheet
         nodes, weights = np.array([-math.sqrt(3.0), 0.0, math.sqrt(3.0)]), np.array([1.0, 4.0, 1.0]) / 6.0
         distance = float(np.median(away))
         wide = math.hypot(fan.sigma_mm, fan.divergence_rad * (distance - fan.waist_mm))
@@ -495,6 +516,7 @@ def _pinhole(camera: Camera) -> tuple[Floats, ...]:
     x: Floats = np.tile(columns, len(rows)).astype(np.float64)
     y: Floats = np.repeat(rows, len(columns)).astype(np.float64)
     at = camera.undistort(x, y)
+    # half a pixel: as far as rays of a pixel's samples go
     right, down = camera.undistort(x + 0.5, y), camera.undistort(x, y + 0.5)
     steps = [2.0 * (after[m] - at[m]) for after in (right, down) for m in (0, 1)]
     return (*at, *steps)
@@ -502,6 +524,7 @@ def _pinhole(camera: Camera) -> tuple[Floats, ...]:
 
 def _to_world(normals: Floats, local: Floats) -> Floats:
     """Turn local directions (3, N, R) into frames about normals (N, 3): shape (N, R, 3)."""
+    # a frame without division by 0 at any normal (Duff et al. 2017)
     sign = np.where(normals[:, 2] >= 0.0, 1.0, -1.0)
     a = -1.0 / (sign + normals[:, 2])
     b = normals[:, 0] * normals[:, 1] * a
@@ -538,7 +561,9 @@ def smoothed(
             here = (slice(max(i, 0), rows + min(i, 0)), slice(max(j, 0), columns + min(j, 0)))
             there = (slice(max(-i, 0), rows + min(-i, 0)), slice(max(-j, 0), columns + min(-j, 0)))
             same = valid[here] & valid[there] & (body[here] == body[there])
+            # normals 30° apart weigh a third
             alike = np.clip(np.einsum("...i,...i->...", normals[here], normals[there]), 0.0, 1.0) ** 8
+            # how far off the neighbour's plane, in spacings of nodes
             off = np.einsum("...i,...i->...", points[here] - points[there], normals[there]) / spacing
             w = (same * alike * np.exp(-0.5 * off**2 - (i * i + j * j) / (1.5 * reach**2)))[..., None]
             total[here] += w * maps[there]
@@ -581,12 +606,14 @@ def expose(laser: Floats, other: Floats, camera: Camera, sensor: Sensor, seed: i
     from scipy.ndimage import gaussian_filter
 
     rng = np.random.default_rng([seed, 57])
+    # speckle is of the laser's light alone
     light = other + (laser * _speckle(rng, laser.shape, sensor) if laser.any() else 0.0)
     light = light * _falloff(camera, sensor.vignetting)
     if sensor.psf_sigma_px > 0.0:
         light = gaussian_filter(light, sensor.psf_sigma_px, mode="nearest")
     if sensor.prnu > 0.0:
         light = light * (1.0 + sensor.prnu * _gains(light.shape))
+    # shot noise is of whole electrons
     electrons = rng.poisson(np.maximum(light, 0.0) / sensor.grey_per_electron).astype(np.float64)
     electrons = np.minimum(electrons, sensor.full_well_e)
     grey = electrons * sensor.grey_per_electron + sensor.black_level_grey
@@ -605,6 +632,7 @@ def _falloff(camera: Camera, strength: float) -> Floats:
     """Relative brightness over the image."""
     x = (np.arange(camera.width_px) - camera.principal_px[0]) / camera.focal_px
     y = (np.arange(camera.height_px) - camera.principal_px[1]) / camera.focal_px
+    # v = 1 is cos⁴ of the field angle
     fall: Floats = 1.0 / (1.0 + strength * np.add.outer(y * y, x * x)) ** 2
     return fall
 
@@ -618,6 +646,7 @@ def _speckle(rng: np.random.Generator, shape: tuple[int, ...], sensor: Sensor) -
     field = rng.standard_normal(shape)
     if sensor.speckle_sigma_px > 0.0:
         field = gaussian_filter(field, sensor.speckle_sigma_px, mode="wrap")
+        # smoothing took away variance
         field /= field.std()
     return np.asarray(np.interp(field, *_speckle_table(sensor.speckle_contrast)))
 
@@ -627,6 +656,8 @@ def _speckle_table(contrast: float) -> tuple[Floats, Floats]:
     """Normal deviates, and the intensities of mean 1 that are as probable."""
     from scipy.stats import gamma, norm
 
+    # of a gamma distribution with contrast C = 1/√M
     count = 1.0 / contrast**2
+    # one pixel in 26 million lies beyond 5.5 deviations
     at = np.linspace(-5.5, 5.5, 1101)
     return at, gamma.ppf(norm.cdf(at), count) / count

@@ -61,6 +61,7 @@ class Surface(NamedTuple):
 
 def diffuse(dr: Any, surface: Surface, cos_in: Any, cos_out: Any) -> Any:
     """Light sent on diffusely, of white's: albedo × cos_in × film. 0 below the surface."""
+    # relative to light that comes straight down and is seen from above
     through = _passed(dr, cos_in) * _passed(dr, cos_out) / _passed(dr, 1.0) ** 2
     through = dr.select(surface.gloss > 0.0, through, 1.0)
     given = surface.albedo * cos_in * through
@@ -71,10 +72,12 @@ def glossy(dr: Any, surface: Surface, seen: Any, lit: Any) -> Any:
     """Light sent on by the film or metal, π f cos, for local directions to the eye and to the light."""
     half = dr.normalize(seen + lit)
     a2 = surface.roughness * surface.roughness
+    # GGX's density of microfacet normals
     t = half.z * half.z * (a2 - 1.0) + 1.0
     density = a2 / (dr.pi * t * t)
     facing = dr.dot(seen, half)
     g = _smith(dr, a2, seen.z, lit.z)
+    # F D G / (4 cos cos'), of which the light's cosine cancels
     found = dr.pi * _fresnel(dr, surface, facing) * density * g / (4.0 * seen.z)
     return dr.select((seen.z > 0.0) & (lit.z > 0.0) & (facing > 0.0), found, 0.0)
 
@@ -84,6 +87,7 @@ def sample_glossy(mi: Any, surface: Surface, seen: Any, u: Any, v: Any) -> tuple
     import drjit as dr
 
     a = surface.roughness
+    # stretched to a smooth hemisphere, where visible normals are drawn from a cap
     tall = dr.normalize(mi.Vector3f(a * seen.x, a * seen.y, seen.z))
     z = (1.0 - v) * (1.0 + tall.z) - tall.z
     r2 = 1.0 - z * z
@@ -94,6 +98,7 @@ def sample_glossy(mi: Any, surface: Surface, seen: Any, u: Any, v: Any) -> tuple
     facing = dr.dot(seen, normal)
     way = 2.0 * facing * normal - seen
     a2 = a * a
+    # Smith's masking of the eye alone
     one = 2.0 * seen.z / (seen.z + dr.sqrt(a2 + (1.0 - a2) * seen.z * seen.z))
     weight = _fresnel(dr, surface, facing) * _smith(dr, a2, seen.z, way.z) / one
     return way, dr.select((seen.z > 0.0) & (way.z > 0.0) & (facing > 0.0), weight, 0.0)
@@ -108,6 +113,7 @@ def _smith(dr: Any, a2: Any, cos_a: Any, cos_b: Any) -> Any:
 
 def _passed(dr: Any, cosine: Any) -> Any:
     """Share of unpolarised light that enters watery tissue."""
+    # Snell's cosine inside, then Fresnel's amplitudes of both polarisations
     inside = dr.sqrt(1.0 - (1.0 - cosine * cosine) / INDEX**2)
     s = (cosine - INDEX * inside) / (cosine + INDEX * inside)
     p = (inside - INDEX * cosine) / (inside + INDEX * cosine)
@@ -121,6 +127,7 @@ def _fresnel(dr: Any, surface: Surface, cosine: Any) -> Any:
     n, k = surface.metal
     c2 = cosine * cosine
     s2 = 1.0 - c2
+    # the conductor's |r|² of both polarisations, without complex numbers
     t = n * n - k * k - s2
     ab = dr.sqrt(t * t + 4.0 * n * n * k * k)
     a = dr.sqrt(0.5 * (ab + t))
@@ -167,6 +174,7 @@ def dipole_of(depth_mm: float, blur_mm: float) -> Dipole:
     # internal diffuse reflection (Egan and Hilgeman's fit, as in Jensen et al. 2001)
     inside = -1.440 / INDEX**2 + 0.710 / INDEX + 0.668 + 0.0636 * INDEX
     image = source * (1.0 + 4.0 / 3.0 * (1.0 + inside) / (1.0 - inside))
+    # bisection of the logarithm: the deviation falls while σ grows
     low, high = 1e-2 / max(blur_mm, 0.1), 50.0 / max(blur_mm, 0.1)
     for _ in range(60):
         middle = math.sqrt(low * high)
@@ -174,6 +182,7 @@ def dipole_of(depth_mm: float, blur_mm: float) -> Dipole:
         low, high = (middle, high) if spread > blur_mm else (low, middle)
     sigma = math.sqrt(low * high)
     total, _ = _level(source, image, sigma)
+    # beyond six deviations nothing is left; 12 mm limit the time
     reach = min(max(6.0 * blur_mm, 4.0 * source), 12.0)
     d = np.sqrt(np.linspace(0.0, reach**2, _BINS))
     d = np.maximum(d, 0.3 * source)  # nearer than this a point lies in a crevice, where no dipole holds
@@ -190,6 +199,7 @@ def _level(source: float, image: float, sigma: float) -> tuple[float, float]:
         d = np.sqrt(r * r + depth * depth)
         given += depth * (1.0 + sigma * d) * np.exp(-sigma * d) / d**3 / (4.0 * np.pi)
     total, second = (float(trapezoid(2.0 * np.pi * r**power * given, r)) for power in (1, 3))
+    # of the mean r² half lies across the line
     return total, math.sqrt(0.5 * second / total)
 
 
@@ -199,6 +209,7 @@ def enter_tissue(
     """Give sources, images and flux of beams that met a surface; arrays (..., 3), flux (...,)."""
     cosine = -np.einsum("...i,...i->...", way, normal)
     across = way + cosine[..., None] * normal
+    # refraction by Snell's law
     inside = np.sqrt(1.0 - (1.0 - np.clip(cosine, 0.0, 1.0) ** 2) / INDEX**2)
     bent = across / INDEX - inside[..., None] * normal
     source = hit_mm + dipole.source_mm * bent
@@ -227,18 +238,21 @@ def _gather(
     first_rad: float, step_rad: float, source_mm: float, image_mm: float, reach_mm: float, table: Floats,
 ) -> Floats:  # fmt: skip
     out = np.zeros(points.shape[0])
+    # from d² to a place in the table
     scale = (table.size - 1) / (reach_mm * reach_mm)
     last = table.size - 1
     for p in range(points.shape[0]):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
         bx, by, bz = x - origin[0], y - origin[1], z - origin[2]
         away = math.sqrt(bx * bx + by * by + bz * bz)
+        # only beams within reach along their plane
         angle = math.asin((bx * axis[0] + by * axis[1] + bz * axis[2]) / away)
         span = int(reach_mm / (away * step_rad)) + 1
         middle = round((angle - first_rad) / step_rad)
         j0, j1 = max(middle - span, 0), min(middle + span, flux.shape[1] - 1)
         summed = 0.0
         for i in range(planes.shape[0]):
+            # and only planes within reach
             side = planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] * z - planes[i, 3]
             if abs(side) > reach_mm:
                 continue

@@ -74,6 +74,7 @@ class MitsubaBelt(MitsubaSimulator):
 
     def belt(self, placed: Sequence[Placed], seed: int) -> tuple[NDArray[np.int64], Floats]:
         """Give (line,) counts, and (line, 3) by how much products have moved since they were placed, mm."""
+        # without a product the belt itself is scanned
         extents = np.array([one.body.extent_mm[:2] for one in placed] or [(-1.0, 1.0)])
         along = float(extents[:, 0].min()), float(extents[:, 1].max())
         return self.options.scan.run(along, self.fan.x_mm(0.0, 0.0), seed)
@@ -82,6 +83,7 @@ class MitsubaBelt(MitsubaSimulator):
         """Take the frames, turned as they are stored."""
         bodies, moved = self._in_head(placed, seed)
         surface = self._product_material("laser", bodies, seed)
+        # in the gap below there is no belt
         ground = None
         if self.options.scan.below_mm is None:
             ground = self._belt_material("laser", seed, clean=False, moved_mm=moved)
@@ -99,6 +101,7 @@ class MitsubaBelt(MitsubaSimulator):
         lit = tracer.frames(moved, self._lamps("laser"), bounce_rays=self.options.bounce_rays)
         for line, (laser, other) in enumerate(lit):
             pixels = expose(laser, other, self.camera, self._sensor, seed + _NEXT_FRAME * (line + 1))
+            # images are stored turned back
             yield np.ascontiguousarray(np.rot90(pixels, -self.options.turn_deg // 90))
 
     def crossings(self, placed: Sequence[Placed], seed: int) -> Iterator[Crossings]:
@@ -120,6 +123,7 @@ class MitsubaBelt(MitsubaSimulator):
         below_mm = self.options.scan.below_mm
         if below_mm is None:
             return bodies, moved
+        # turned about X, the head's level at z = 0
         up = np.array([0.0, 0.0, below_mm])
         turned = [replace(body, points_mm=(body.points_mm - up) @ _UPSIDE_DOWN) for body in bodies]
         return turned, moved @ _UPSIDE_DOWN
@@ -127,6 +131,7 @@ class MitsubaBelt(MitsubaSimulator):
     def _fitted(self, one: Placed, name: str) -> Placed:
         """Give a product as it was laid: raise StageError where it is too wide or high for the view."""
         body = one.body
+        # neither camera nor projector may be hit
         lowest = min(float(self.camera.centre_mm[2]), float(self.fan.origin_mm[2]))
         _, _, y_min, y_max = body.extent_mm
         _, _, near, far = self.camera.view_on(0.0)

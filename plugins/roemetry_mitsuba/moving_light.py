@@ -61,10 +61,12 @@ class MovingTracer(Tracer):
         lit = self._lit(moved, nodes)
         line, pixel = np.nonzero(lit.reshape(len(moved), -1))
         close = self._at_pixels(moved, line, pixel, lamps, rng)
+        # pixels are sorted by frame
         ends = np.searchsorted(line, np.arange(len(moved) + 1))
         shape = self._camera.height_px, self._camera.width_px
         for k, place in enumerate(moved):
             at, band = pixel[ends[k] : ends[k + 1]], close[:, ends[k] : ends[k + 1]]
+            # nodes everywhere; then the lit band by rays of its own
             light, other, body_albedo, from_laser, from_rest = _enlarged(maps[k], shape).reshape(5, -1)
             light[at] = band[0] + band[2] * from_laser[at]
             other[at] = band[1] + band[2] * from_rest[at]
@@ -85,6 +87,7 @@ class MovingTracer(Tracer):
 
     def _carry(self, moved: Floats) -> Any:
         """Let the product lie (ray, 3) further, ray by ray; give where the camera is from there."""
+        # the scene stays and the rig moves back: the same light without a new scene
         self._moved = self._vector(moved)
         return self._vector(self._camera.centre_mm - moved, point=True)
 
@@ -144,6 +147,7 @@ class MovingTracer(Tracer):
             before = np.signbit(side)
             near[:, 1:] |= before[:, 1:] != before[:, :-1]
             near[:, :, 1:] |= before[:, :, 1:] != before[:, :, :-1]
+        # one node more on every side, since nodes are coarse
         near = binary_dilation(near & nodes.valid, np.ones((1, 3, 3), np.bool_))
         full = near.repeat(_NODE_PX, axis=1).repeat(_NODE_PX, axis=2)
         return np.asarray(full[:, : self._camera.height_px, : self._camera.width_px])
@@ -157,11 +161,13 @@ class MovingTracer(Tracer):
         if not line.size:
             return summed
         row, column = np.divmod(pixel, self._camera.width_px)
+        # phases as in `Tracer.image`
         spin = ((0.7548776662466927 * column + 0.5698402909980532 * row) % 1.0).astype(np.float32)
         self._carry(moved[line])
         for k in range(count):
             origin, way = self._rays(k, spin, self._samples, pixel)
             u = rng.random((2, line.size), dtype=np.float32)
+            # rays are the rig's: from there to the product's frame
             start = origin - self._moved
             summed += np.stack(self._look(start, way, lamps, True, (k + spin) / count, (k + 0.5) / count, u))
         return summed / count
@@ -172,6 +178,7 @@ class MovingTracer(Tracer):
         dipole = self._below[0]
         shape = self._camera.height_px, self._camera.width_px
         beams = self._beams(dipole, moved)
+        # coarse at first, then exact in the lit band
         coarse = np.zeros(nodes.body[k].shape)
         coarse[nodes.body[k]] = gather_scattered(
             nodes.points[k][nodes.body[k]] + moved, self._fan, beams, dipole

@@ -14,6 +14,9 @@ by a soft clamp. Its defects:
 `superquadric` (Barr 1981), `supershape` (Gielis 2003, lumpy as a potato), `ball`, `rod` (a lying cylinder)
 and `box` are for shapes whose volumes have a formula or a check; `mesh` is any watertight PLY, OBJ or STL
 file. Sizes are drawn uniformly from the options' ranges.
+
+It assumes that a defect leaves the rest as it was, which makes the sound body its reference. It fails where a
+strong bend meets a wide section: the sweep then crosses itself on the inner side.
 """
 
 from __future__ import annotations
@@ -176,6 +179,7 @@ def _loft(seed: int, options: SkeinOptions, kind: str) -> Body:
 
     end = float(how.uniform(0.58, 0.78)) if kind == "broken" else 1.0
     t = s * end
+    # widths fall to 0 at both ends, as bluntly as drawn
     taper = (1.0 - (1.0 - np.minimum(2.0 * t, 1.0)) ** blunt[0]) ** (1.0 / blunt[0])
     taper *= (1.0 - (1.0 - np.minimum(2.0 * (1.0 - t), 1.0)) ** blunt[1]) ** (1.0 / blunt[1])
     if kind == "broken":
@@ -187,7 +191,9 @@ def _loft(seed: int, options: SkeinOptions, kind: str) -> Body:
     if kind == "bent":
         at, kink = length * how.uniform(-0.14, 0.14), math.radians(how.uniform(18.0, 40.0))
         way, soft = how.choice([-1.0, 1.0]), how.uniform(2.0, 6.0)
+        # a hyperbola: two straight legs, rounded where they meet
         y = y + way * math.tan(0.5 * kink) * (np.sqrt((x - at) ** 2 + soft**2) - soft)
+        # shorter along x, so that legs hardly grow longer
         x = at + (x - at) * math.cos(0.5 * kink)
     if kind == "twisted":
         most = how.choice([-1.0, 1.0]) * math.radians(how.uniform(40.0, 80.0))
@@ -195,10 +201,12 @@ def _loft(seed: int, options: SkeinOptions, kind: str) -> Body:
         flat = 0.88
     if kind == "folded":
         fold = length * how.uniform(-0.18, 0.18)
+        # the far part lies aside
         y = y + how.choice([-1.0, 1.0]) * how.uniform(3.0, 6.0) / (1.0 + np.exp(-(x - fold) / 2.2))
 
     around = np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False)
     cos, sin = np.cos(around), np.sin(around)
+    # superellipses in parameters; above and below the middle with powers of their own
     p = np.where(sin > 0.0, power_top, power_low)
     across = np.sign(cos) * np.abs(cos) ** (2.0 / p)
     up = np.sign(sin) * np.abs(sin) ** (2.0 / p)
@@ -206,6 +214,7 @@ def _loft(seed: int, options: SkeinOptions, kind: str) -> Body:
     w = height * flat * (thick * taper)[:, None] * np.where(up > 0.0, ride * up, (1.0 - ride) * up)
     c, q = np.cos(turn)[:, None], np.sin(turn)[:, None]
     v, w = c * v - q * w, q * v + c * w
+    # across the spline, in the belt's plane
     dx, dy = np.gradient(x, s), np.gradient(y, s)
     norm = np.hypot(dx, dy)
     points = np.stack(
@@ -215,10 +224,12 @@ def _loft(seed: int, options: SkeinOptions, kind: str) -> Body:
     body = points[1:-1].reshape(-1, 3)
     points_mm = np.concatenate([points[:1].mean(axis=1), body, points[-1:].mean(axis=1)])
     faces = _tube(_STATIONS - 2, _AROUND)
+    # waves fade where sections shrink and corners crowd
     lump = np.concatenate([[0.0], np.repeat(taper[1:-1], _AROUND), [0.0]])
     bump = waves(points_mm) * lump
     if kind == "broken":
         place = np.concatenate([[0.0], np.repeat(t[1:-1], _AROUND), [end]])
+        # ragged over the last 8 mm
         near = np.clip((place - (end - 8.0 / length)) * length / 8.0, 0.0, 1.0)
         ragged = _waves(how, (5.0, 11.0), 0.6)
         points_mm[:, 0] += near**2 * np.clip(ragged(points_mm * [0.0, 1.0, 1.0]), -1.6, 1.6)
@@ -237,18 +248,21 @@ def _pressed(
     """Press a dent, or the crease of a fold, into the upper side."""
     length, width, height = size
     pressed = points.copy()
+    # the upper side alone, fading downwards
     upper = np.clip(points[:, 2] / (0.35 * height) + 0.3, 0.0, 1.0)
     if kind == "dented":
         at = np.array([length * how.uniform(-0.28, 0.28), width * how.uniform(-0.16, 0.16)])
         reach = np.array([how.uniform(8.0, 15.0), how.uniform(6.0, 10.0)])
         depth = height * how.uniform(0.22, 0.42)
         r = np.linalg.norm((points[:, :2] - at) / reach, axis=1)
+        # Wendland's C2 function: smooth, and 0 from r = 1 on
         hollow = np.clip(1.0 - r, 0.0, None) ** 4 * (4.0 * r + 1.0)
         rim = np.exp(-(((r - 1.05) / 0.22) ** 2))
         pressed[:, 2] += depth * upper * (0.10 * rim - hollow)
         return pressed
     lean = math.tan(math.radians(how.uniform(-25.0, 25.0)))
     depth, half = height * how.uniform(0.25, 0.42), how.uniform(2.0, 3.6)
+    # distance from the crease, which runs across and leans
     along = points[:, 0] - fold - lean * points[:, 1]
     crease = 1.0 / (1.0 + (along / half) ** 2) ** 1.5
     lip = np.exp(-(((along - 2.6 * half) / (1.2 * half)) ** 2))
@@ -324,6 +338,7 @@ def stairs(steps: int, tread_mm: float, riser_mm: float, width_mm: float) -> Bod
         outline += [(k * tread_mm, (k + 1) * riser_mm), ((k + 1) * tread_mm, (k + 1) * riser_mm)]
     outline.append((steps * tread_mm, 0.0))
     foot = [(k * tread_mm, 0.0) for k in range(1, steps)]
+    # corners of the foot divide the long lower side, so that each step is a rectangle
     profile = np.array(outline + foot) - [0.5 * steps * tread_mm, 0.0]
     n = len(profile)
     points = np.concatenate(

@@ -155,6 +155,7 @@ class Camera:
         """Give x_min, x_max, y_min, y_max (mm) of the largest upright rectangle's bounds of the view."""
         at = self.border_on(height_mm)
         left, right, top, bottom = at[:17], at[17:34], at[34:51], at[51:]
+        # distortion bends the border: its middle counts
         y = sorted([float(np.median(top[:, 1])), float(np.median(bottom[:, 1]))])
         return float(left[:, 0].max()), float(right[:, 0].min()), y[0], y[1]
 
@@ -196,9 +197,11 @@ def camera_of(part: CameraPart) -> Camera:
         a, b = math.radians(part.tilt_x_deg), math.radians(part.tilt_y_deg)
         about_x = np.array([[1, 0, 0], [0, math.cos(a), -math.sin(a)], [0, math.sin(a), math.cos(a)]])
         about_y = np.array([[math.cos(b), 0, math.sin(b)], [0, 1, 0], [-math.sin(b), 0, math.cos(b)]])
+        # looking down: the camera's y and z are turned against the belt's
         rotation = np.diag([1.0, -1.0, -1.0]) @ about_x @ about_y
         centre = -part.distance_mm * rotation[:, 2]
     lens = part.distortion
+    # pixels' middles are whole numbers
     middle = part.principal_point_px or (0.5 * (part.width_px - 1), 0.5 * (part.height_px - 1))
     return Camera(
         part.width_px,
@@ -218,9 +221,11 @@ def fan_of(part: LaserPart, grey_per_e_per_ms: float) -> Fan:
     axis = np.array([-math.sin(yaw) * math.cos(pitch), math.cos(yaw) * math.cos(pitch), math.sin(pitch)])
     origin = np.array(part.projector_mm, dtype=np.float64)
     towards = np.stack([lines_x_mm, 0 * lines_x_mm, 0 * lines_x_mm], axis=-1) - origin
+    # each plane holds the axis and its place on the belt
     normals = np.cross(towards, axis)
     normals *= np.sign(normals[:, :1]) / np.linalg.norm(normals, axis=1, keepdims=True)
     power = np.ones(part.count) if part.power is None else np.array(part.power, dtype=np.float64)
+    # the 1/e² width is four deviations, half of it two
     return Fan(
         origin, normals, normals @ origin, axis, part.peak_e_per_ms * grey_per_e_per_ms * power,
         0.25 * part.line_width_mm, part.waist_distance_mm, 5e-4 * part.divergence_mrad,
@@ -234,6 +239,7 @@ def check_rig(camera_part: CameraPart, laser_part: LaserPart) -> None:
     along = np.linspace(0.0, 1.0, 33)
     x, y = np.meshgrid(along * camera.width_px - 0.5, along * camera.height_px - 0.5)
     rays = camera.directions(x, y)
+    # a lens that folds has no inverse: the way there and back differs
     back = camera.project(camera.centre_mm + 100.0 * rays)
     if not np.abs(back - np.stack([x, y], axis=-1)).max() < 1e-6:
         raise MisfitError((("camera", "distortion"), "it folds the image over within the view"))

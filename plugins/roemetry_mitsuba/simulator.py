@@ -77,11 +77,13 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         if part.family == NONE:
             return ()
         chosen = part.items[number] if number < len(part.items) else None
+        # listed items use up none of the seeds of drawn ones
         item_seed = seed + number - len(part.items) if chosen is None else chosen.seed
         own = {} if chosen is None else chosen.options
         options = family_options(part.family, part.options | own, MODELS)
         laid = []
         for k in range(part.in_frame):
+            # the family counts: another one draws other products
             rng = np.random.default_rng([item_seed + k * _NEXT_IN_FRAME, *part.family.encode()])
             drawn = FAMILIES[part.family].make(rng, options)
             at = rng.uniform(-1.0, 1.0, 3) * [
@@ -119,17 +121,21 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         size = part.square_mm * np.array([part.columns, part.rows])
         poses = {}
         for number in range(1, part.poses + 1):
+            # the first pose is not tilted
             tilt = math.radians(part.tilt_max_deg) * (0.0 if number == 1 else rng.uniform(0.55, 1.0))
             way = 2.0 * math.pi * (number + rng.uniform(-0.3, 0.3)) * 0.381966  # all ways round, none twice
+            # a quarter of them lie the other way round
             spin = math.radians(rng.uniform(-20.0, 20.0)) + (math.pi if rng.random() < 0.25 else 0.0)
             tilted = _about(np.array([math.cos(way), math.sin(way), 0.0]), tilt)
             turn = tilted @ _about(np.array([0.0, 0.0, 1.0]), spin) @ np.diag([1.0, -1.0, -1.0])
+            # so high that no corner goes below the belt
             lift = float(np.abs(turn[2, :2]) @ (0.5 * size + part.square_mm)) + part.thickness_mm + 0.3
             height = lift + float(rng.uniform(*part.height_mm))
             # a user lays the board where the laser meets it, and not twice at the same place
             middle = np.array([float(self.fan.x_mm(0.0, height).mean()), 0.0, height])
             middle[:2] += rng.uniform(-4.0, 4.0, 2)
             poses[f"pose_{number:02d}"] = _pose(turn, middle - turn[:, :2] @ (0.5 * size))
+        # flat on the belt, laid by hand: 1.5° askew
         flat = _about(np.array([0.0, 0.0, 1.0]), math.radians(1.5)) @ np.diag([1.0, -1.0, -1.0])
         middle = np.array([self.fan.x_mm(0.0, 0.0).mean(), 0.0, part.thickness_mm])
         poses[ON_BELT] = _pose(flat, middle - flat[:, :2] @ (0.5 * size))
@@ -222,6 +228,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         material = self._product_material(role, bodies, seed)
         pixels = self._take_image(role, ground, bodies, material, self._below, seed)
         belt = self.options.belt
+        # whole counts; the small number is against rounding
         travel_mm = number * belt.pitch_mm
         return Frame(
             pixels,
@@ -235,6 +242,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
     def _target(self, seed: int, kind: str, name: str) -> Frame:
         role: Role = "plain" if name.endswith("_plain") else "laser"
         bodies = self.target_bodies(kind, name, seed)
+        # by kind and name: another image changes none of the others
         number = sum(name.encode()) + 1000 * ("block", "belt", "staircase", *BOARDS).index(kind)
         if kind in BOARDS:
             pose = self.board_poses(seed)[name.rsplit("_", 1)[0]]
@@ -260,6 +268,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         laser, other = tracer.image(
             self._lamps(role), laser=role == "laser", bounce_rays=self.options.bounce_rays
         )
+        # images of one item have noise of their own
         noise = seed + 2**32 * ("laser", "plain", "dark").index(role)
         pixels = expose(laser, other, self.camera, self._sensor, noise)
         return np.ascontiguousarray(np.rot90(pixels, -self.options.turn_deg // 90))
@@ -268,6 +277,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         """Give what of the belt comes into view while it moves to places (line, 3)."""
         belt = self.options.belt
         at = self.camera.border_on(0.0)[:, :2]
+        # all that the view's border passes, and 5 mm
         low = at.min(axis=0) - moved_mm[:, :2].max(axis=0) - 5.0
         high = at.max(axis=0) - moved_mm[:, :2].min(axis=0) + 5.0
         rng = np.random.default_rng([seed, 11])
@@ -290,6 +300,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
         rng = np.random.default_rng([seed, 12])
         factor, x, y = _texture(rng, low, high, surface.texture)
         shear = 0.7
+        # a picture is laid on from above
         if surface.albedo_map is not None:
             factor, shear = factor * self._picture(factor.shape), 0.0
         wet = None
@@ -325,6 +336,7 @@ class MitsubaSimulator(Simulator[MitsubaOptions]):
     def _move_into_reach(self, one: Placed) -> Placed:
         """Move a product along X by as little as brings its ends near the outer stripes and into the view."""
         x_min, x_max, y_min, y_max = one.body.extent_mm
+        # ends of products are some way up, not at the belt
         height = 0.25 * one.body.height_mm
         lines_x = np.sort(self.fan.x_mm(0.5 * (y_min + y_max), height))
         low, high, _, _ = self.camera.view_on(height)
@@ -429,6 +441,7 @@ def _hollow(profile_mm: Floats) -> float:
     profile = profile_mm[np.argsort(profile_mm[:, 0])]
     hull = [profile[0]]
     for point in profile[1:]:
+        # the upper hull by Andrew's monotone chain
         while len(hull) > 1:
             a, b = hull[-2], hull[-1]
             if (b[0] - a[0]) * (point[1] - a[1]) < (b[1] - a[1]) * (point[0] - a[0]):
@@ -449,6 +462,7 @@ def _texture(
     x = low[0] + (np.arange(columns) + 0.5) * (high[0] - low[0]) / columns
     y = low[1] + (np.arange(rows) + 0.5) * (high[1] - low[1]) / rows
     total = np.zeros((rows, columns))
+    # blotches, cells and grain; their variances add up to 1
     for grain_mm, share in ((6.0, 0.5), (1.2, 0.6), (0.25, 0.62)):
         field = gaussian_filter(rng.standard_normal((rows, columns)), grain_mm / _TEXEL_MM, mode="wrap")
         total += share * field / max(float(field.std()), 1e-12)
@@ -471,6 +485,7 @@ def _printed(part: BoardPart, kind: str, pose: Floats) -> Material:
     """A board's print, half a square of white about it."""
     print_ = part.print_picture(kind, _PX_PER_SQUARE)
     to_board = np.linalg.inv(pose)[:2]
+    # the print, half a square of white around it
     uv = to_board / (part.square_mm * np.array([[part.columns + 1.0], [part.rows + 1.0]]))
     uv[:, 3] += 0.5 / np.array([part.columns + 1.0, part.rows + 1.0])
     return Material(_BLACK + (_WHITE - _BLACK) * print_, uv)

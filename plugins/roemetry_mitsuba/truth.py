@@ -2,12 +2,15 @@
 
 A laser plane meets a mesh in straight segments, one a face, and the belt in a line. Where such a segment
 crosses the middle of an image row follows from the camera's projection, solved along the segment to 1e-10 px
-by Newton's method (distortion bends the row's ray sheet, so no closed form). A crossing counts if its face
+by secants (distortion bends the row's ray sheet, so no closed form). A crossing counts if its face
 looks at camera and projector, and no other face stands between it and either; these two tests are exact ray
 against triangle tests, over bins of a central projection onto the belt.
 
 Faces flatter than the test's margin of 3e-7 of the distance (0.1 µm) do not shadow each other. Where a plane
 is both lit and seen at several places of a row, all are told; the first is that on a body, then the highest.
+
+It assumes closed meshes, and that camera and projector are above all of them. It fails where a segment runs
+along a row: the crossing is hardly determined there, and of a segment that lies in the row none is told.
 """
 
 from __future__ import annotations
@@ -93,6 +96,7 @@ def crossings(camera: Camera, fan: Fan, bodies: Sequence[Body]) -> Crossings:
     owner = np.repeat(np.arange(1, len(bodies) + 1), [len(body.faces) for body in bodies])
     corners = np.concatenate([empty, *(body.corners_mm for body in bodies)])
     parts = []
+    # stripes without light have no truth
     for i in np.flatnonzero(fan.peak_grey > 0.0):
         ends, faces = _cut(corners, fan.normals[i], float(fan.offsets_mm[i]))
         belt = _on_belt(camera, fan, int(i))
@@ -101,7 +105,9 @@ def crossings(camera: Camera, fan: Fan, bodies: Sequence[Body]) -> Crossings:
         row, points, which = _rows(camera, ends)
         parts.append(_Found(np.full(len(row), i), row, camera.project(points)[:, 0], points, faces[which]))
     found = _Found(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    # pixels' middles are whole numbers: the image ends half a pixel further out
     found = found.at((found.x_px >= -0.5) & (found.x_px <= camera.width_px - 0.5))
+    # only where the projector's line has light
     beam = found.points - fan.origin_mm
     run = beam @ fan.axis / np.linalg.norm(beam, axis=1)
     found = found.at((run >= fan.runs[0]) & (run <= fan.runs[1]))
@@ -124,6 +130,7 @@ def crossings(camera: Camera, fan: Fan, bodies: Sequence[Body]) -> Crossings:
 def _cut(corners: Floats, normal: Floats, offset: float) -> tuple[Floats, Integers]:
     """Segments, shape (M, 2, 3), in which a plane meets triangles, and which triangles."""
     side = corners @ normal - offset
+    # what lies on the plane counts as above, so that a corner is cut once
     above = side >= 0.0
     count = above.sum(axis=1)
     found = np.flatnonzero((count == 1) | (count == 2))
@@ -142,6 +149,7 @@ def _cut(corners: Floats, normal: Floats, offset: float) -> tuple[Floats, Intege
 
 def _on_belt(camera: Camera, fan: Fan, i: int) -> Floats:
     """Pieces of the line in which a plane meets the belt, over the view, shape (M, 2, 3)."""
+    # 5 mm beyond the view on both sides
     y = camera.border_on(0.0)[:, 1]
     at = np.arange(y.min() - 5.0, y.max() + 5.0 + _BELT_STEP_MM, _BELT_STEP_MM)
     x = (fan.offsets_mm[i] - at * fan.normals[i, 1]) / fan.normals[i, 0]
@@ -161,12 +169,14 @@ def _rows(camera: Camera, ends: Floats) -> tuple[Integers, Floats, Integers]:
     a, way = ends[which, 0], ends[which, 1] - ends[which, 0]
     va, vb = v[which, 0], v[which, 1]
     t = (row - va) / (vb - va)
+    # secants: slopes between the last two places need no derivative of the lens
     slope = vb - va
     t_old, off_old = np.zeros_like(t), va - row
     for _ in range(8):
         off = camera.project(a + t[:, None] * way)[:, 1] - row
         with np.errstate(invalid="ignore", divide="ignore"):
             secant = (off - off_old) / (t - t_old)
+        # near the end a difference is rounding: the last slope is kept
         slope = np.where(np.isfinite(secant) & (np.abs(secant) > 0.2 * np.abs(slope)), secant, slope)
         t_old, off_old = t, off
         t = np.clip(t - off / slope, 0.0, 1.0)
@@ -179,6 +189,7 @@ def _faces_it(points: Floats, face: Integers, corners: Floats, source: Floats) -
     """Whether the faces of points, the belt among them (-1), look at a place."""
     looks = np.ones(len(points), dtype=np.bool_)
     on = face >= 0
+    # corners run counter-clockwise, seen from outside: the cross product points outwards
     a, b, c = np.moveaxis(corners[face[on]], 1, 0)
     looks[on] = np.einsum("ti,ti->t", np.cross(b - a, c - a), source - points[on]) > 0.0
     return looks
@@ -190,6 +201,7 @@ def _hidden(points: Floats, face: Integers, corners: Floats, source: Floats) -> 
     if not len(corners) or not len(points):
         return hidden
 
+    # what hides a point from the source falls into its bin in a central projection
     def on_belt(at: Floats) -> Floats:
         along = source[2] / (source[2] - at[..., 2])
         return np.asarray(source[:2] + along[..., None] * (at[..., :2] - source[:2]))
@@ -250,6 +262,7 @@ def _between(
             gx, gy, gz = r[0] - a[0], r[1] - a[1], r[2] - a[2]
             hx, hy, hz = dy * gz - dz * gy, dz * gx - dx * gz, dx * gy - dy * gx
             det = ex * hx + ey * hy + ez * hz
+            # the ray runs along the face
             if det == 0.0:
                 continue
             sx, sy, sz = source[0] - a[0], source[1] - a[1], source[2] - a[2]
@@ -261,6 +274,7 @@ def _between(
             if v < 0.0 or u + v > 1.0:
                 continue
             t = (gx * kx + gy * ky + gz * kz) / det
+            # strictly before the point, by the margin
             if 0.0 < t < 1.0 - _MARGIN:
                 hidden[p] = True
                 break

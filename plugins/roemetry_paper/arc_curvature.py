@@ -1,4 +1,33 @@
-"""Shape by the curvature of the stripes (section 3.5): a dent turns the bow of a stripe around."""
+"""Shape by the curvature of the stripes (section 3.5): a dent turns the bow of a stripe around.
+
+Model. Circles are put through points `delta_samples` apart along each stripe's curve on the product, and κ is
+the vector from the middle one of three points to the circle's centre. A healthy product is convex: all its
+centres lie on one side. The product is henkei if any centre lies on the other side at a distance above
+`radius_min_px` and below `radius_max_px` (both exclusive). Long |κ| is flat, short is sharp.
+
+The side: a stripe's peak moves by ``displacement_px_per_mm`` times the height. If that is negative, as on the
+paper's rig, a convex product pushes the middle of the stripe to the left and its centres of arc lie to the
+right, κx > 0. If it is positive (the laser on the other side) all is mirrored. So κx times
+−sign(displacement) is positive for convex arcs on either rig. In the cross-section (Y, Z) a convex arc has
+its centre below, κz < 0, whatever the rig.
+
+A curve is a run of rows without a gap, bridged points included. N points of it give floor((N − 1) / delta) −
+1 circles. Three points on a line are infinitely flat.
+
+Limits in mm, where none are given: with s mm per px along the stripe and h mm of height per px of
+displacement, row = −Y/s and x = ∓Z/h. At small slopes 1/R is the second derivative's size, so 1/R_px = s²/(h
+R_mm) and R_mm = R_px s²/h, stripe by stripe. Where slopes are not small the two spaces do not agree: circles
+in the image are ellipses in the cross-section.
+
+Lengths in pixels belong to a scale. Given the scale they were chosen at, all of them, and the samples between
+points, are multiplied by how much finer the rig is, so that a rescaled rig grades the same.
+
+What to know before trusting it: the rule is sharp. At 14 samples, a radius below 80 px is a bow of 1.2 px, so
+with whole-pixel peaks noise alone turns a flat healthy product into henkei. Take sub-pixel peaks, or
+`smoothing_rows`, or ask for more than one arc. With samples one row apart no circle is smaller than
+`delta_samples`, so the paper's lower limit of 4 px never acts. ``unknown`` is the answer where no curve is
+long enough for one circle.
+"""
 
 from __future__ import annotations
 
@@ -77,36 +106,7 @@ class ArcCurvatureOptions(StageOptions):
 
 
 class ArcCurvature(Classifier[ArcCurvatureOptions]):
-    """Calls a product henkei if an arc along a stripe is concave and sharp (Lee et al. 2000, section 3.5).
-
-    Circles are put through points `delta_samples` apart along each stripe's curve on the product, and κ is
-    the vector from the middle one of three points to the circle's centre. A healthy product is convex: all
-    its centres lie on one side. The product is henkei if any centre lies on the other side at a distance
-    above `radius_min_px` and below `radius_max_px` (both exclusive). Long |κ| is flat, short is sharp.
-
-    The side: a stripe's peak moves by ``displacement_px_per_mm`` times the height. If that is negative, as
-    on the paper's rig, a convex product pushes the middle of the stripe to the left and its centres of arc
-    lie to the right, κx > 0. If it is positive (the laser on the other side) all is mirrored. So κx times
-    −sign(displacement) is positive for convex arcs on either rig. In the cross-section (Y, Z) a convex arc
-    has its centre below, κz < 0, whatever the rig.
-
-    A curve is a run of rows without a gap, bridged points included. N points of it give
-    floor((N − 1) / delta) − 1 circles. Three points on a line are infinitely flat.
-
-    Limits in mm, where none are given: with s mm per px along the stripe and h mm of height per px of
-    displacement, row = −Y/s and x = ∓Z/h. At small slopes 1/R is the second derivative's size, so
-    1/R_px = s²/(h R_mm) and R_mm = R_px s²/h, stripe by stripe. Where slopes are not small the two spaces
-    do not agree: circles in the image are ellipses in the cross-section.
-
-    Lengths in pixels belong to a scale. Given the scale they were chosen at, all of them, and the samples
-    between points, are multiplied by how much finer the rig is, so that a rescaled rig grades the same.
-
-    What to know before trusting it: the rule is sharp. At 14 samples, a radius below 80 px is a bow of
-    1.2 px, so with whole-pixel peaks noise alone turns a flat healthy product into henkei. Take sub-pixel
-    peaks, or `smoothing_rows`, or ask for more than one arc. With samples one row apart no circle is
-    smaller than `delta_samples`, so the paper's lower limit of 4 px never acts. ``unknown`` is the answer
-    where no curve is long enough for one circle.
-    """
+    """Calls a product henkei if an arc along a stripe is concave and sharp (Lee et al. 2000, section 3.5)."""
 
     def classify(self, product: Product, *, rng: np.random.Generator | None = None) -> Grade:
         """Grade one product; `rng` is not used, since no error of the rule itself is modelled."""
@@ -114,6 +114,7 @@ class ArcCurvature(Classifier[ArcCurvatureOptions]):
         asked = self.options.space == "mm" or self.options.tuned_at_mm_per_px is not None
         mm_per_px = _mm_per_px(product, curves) if asked else math.nan
         options = _rescaled(self.options, mm_per_px)
+        # three points each, the middle ones delta samples apart: neighbouring circles share two points
         middle = arc_middles(curves.first, curves.size, options.delta_samples)
         if not middle.size:
             return _unknown(curves, options.delta_samples)
@@ -121,6 +122,7 @@ class ArcCurvature(Classifier[ArcCurvatureOptions]):
         count, flagged = arcs.flagged.size, int(arcs.flagged.sum())
         label = HENKEI if flagged >= options.henkei_arcs_min else GOOD
         smallest = float(np.min(arcs.radius, where=arcs.concave, initial=np.inf))
+        # infinity where no arc is concave
         unit = options.space
         return Grade(
             label=label,
@@ -156,6 +158,7 @@ def _arcs(
 ) -> _Arcs:
     profiles, delta = product.profiles, options.delta_samples
     x_row = pairs_in_line(profiles.x_px, profiles.row_px, curves.slice, curves.point)
+    # together: the same rows are smoothed in the image and in the section
     in_section = options.space == "mm"
     along_above = profiles.xyz_mm[curves.slice, curves.point, 1:] if in_section else x_row[:, :0]
     if options.smoothing_rows:
@@ -165,16 +168,21 @@ def _arcs(
     displacement = product.calibration.displacement_px_per_mm[stripe]
     to_centre_px, radius, bow = circles(x_row, middle, delta)
     if not in_section:
+        # a convex body pushes the middle of a stripe to the side it is displaced to, so its centres lie on
+        # the other
         convexity = np.where(displacement > 0.0, -to_centre_px[:, 0], to_centre_px[:, 0])
         radius_min: Floats = np.full(middle.size, options.radius_min_px)
         radius_max: Floats = np.full(middle.size, options.radius_max_px)
     else:
+        # R_mm = R_px s²/h, with 1/h = |displacement| in px per mm
         to_mm = mm_per_px**2 * np.abs(displacement)
         to_centre, radius, bow = circles(along_above, middle, delta)
+        # columns are Y and Z: a convex arc has its centre below
         convexity = -to_centre[:, 1]
         low, high = options.radius_min_mm, options.radius_max_mm
         radius_min = options.radius_min_px * to_mm if low is None else np.full(middle.size, low)
         radius_max = options.radius_max_px * to_mm if high is None else np.full(middle.size, high)
+    # a straight line has no centre, on neither side
     concave = np.isfinite(radius) & (convexity < 0.0)
     middle_px = x_row[middle]
     return _Arcs(
@@ -197,9 +205,11 @@ def _mm_per_px(product: Product, curves: BodyCurves) -> float:
     """
     profiles, points = product.profiles, curves.slice.size
     same_curve = np.ones(points, np.bool_)
+    # steps within a curve only: from one curve to the next is a gap or another stripe
     same_curve[curves.first] = False
     here = np.arange(points)[:: max(points // _STEPS, 1)]
     here = here[same_curve[here]]
+    # all of the evenly spread ones began a curve
     if not here.size:
         here = np.flatnonzero(same_curve)
     this, before = ((curves.slice[at], curves.point[at]) for at in (here, here - 1))
@@ -216,7 +226,9 @@ def _rescaled(options: ArcCurvatureOptions, mm_per_px: float) -> ArcCurvatureOpt
     """Convert lengths in pixels, and numbers of rows, from the scale they were chosen at to the rig's."""
     if options.tuned_at_mm_per_px is None or math.isnan(mm_per_px):
         return options
+    # more pixels on a finer rig show the same length
     finer = options.tuned_at_mm_per_px / mm_per_px
+    # odd, and at least three rows, which a local quadratic needs
     half = max(round(0.5 * (finer * options.smoothing_rows - 1.0)), 1)
     return options.model_copy(
         update={
@@ -248,6 +260,7 @@ def _reason(arcs: _Arcs, options: ArcCurvatureOptions) -> Reason:
     unit = options.space
     if not concave:
         return Reason("no-concave-arc", f"none of {count} arcs is concave")
+    # named is the sharpest of the flagged ones; without any, the sharpest of the concave ones
     sharpest = int(np.argmin(np.where(arcs.flagged if flagged else arcs.concave, arcs.radius, np.inf)))
     limits = f"between {arcs.radius_min[sharpest]:.4g} and {arcs.radius_max[sharpest]:.4g} {unit}"
     x_px, row_px = arcs.middle_px[sharpest]
@@ -278,6 +291,7 @@ def _are(count: int) -> str:
 
 
 def _arrows(arcs: _Arcs, unit: str) -> ImageArrows:
+    # a centre at infinity cannot be drawn
     known = np.isfinite(arcs.radius) & np.isfinite(arcs.centre_px).all(axis=1)
     drawn = slice(None) if known.all() else known
     return ImageArrows(
@@ -286,6 +300,7 @@ def _arrows(arcs: _Arcs, unit: str) -> ImageArrows:
         stripe=arcs.stripe[drawn],
         from_px=arcs.middle_px[drawn],
         to_px=arcs.centre_px[drawn],
+        # the sign tells the side: concave radii are negative
         value=np.where(arcs.concave, -arcs.radius, arcs.radius)[drawn],
         flagged=arcs.flagged[drawn],
     )
@@ -336,14 +351,18 @@ def circles(xy: Floats, middle: Integers, delta: int) -> tuple[Floats, Floats, F
     to_centre, radius, bow = np.full((count, 2), np.inf), np.empty(count), np.empty(count)
     for k in range(count):
         m = middle[k]
+        # from the middle point, so that large coordinates do not cancel
         ax, ay = xy[m - delta, 0] - xy[m, 0], xy[m - delta, 1] - xy[m, 1]
         bx, by = xy[m + delta, 0] - xy[m, 0], xy[m + delta, 1] - xy[m, 1]
         aa, bb = ax * ax + ay * ay, bx * bx + by * by
+        # twice the area of the triangle; 0 where the three lie on one line
         cross = ax * by - ay * bx
         if abs(cross) > _STRAIGHT * math.sqrt(aa * bb):
+            # centre of the circle through 0, a and b: equally far from all three
             to_centre[k, 0] = (by * aa - ay * bb) / (2.0 * cross)
             to_centre[k, 1] = (ax * bb - bx * aa) / (2.0 * cross)
         radius[k] = math.hypot(to_centre[k, 0], to_centre[k, 1])
         chord = math.hypot(bx - ax, by - ay)
+        # height of the triangle over the side between the outer points
         bow[k] = abs(cross) / chord if chord > 0.0 else math.nan
     return to_centre, radius, bow

@@ -80,9 +80,12 @@ class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
                 f"{block.height_mm:g} mm high",
                 hint="it is the distance from the camera's lens to the belt, in millimetres",
             )
+        # 0 takes perspective out of every equation below, as in the paper
         per_distance = 0.0 if observed.working_distance_mm is None else 1.0 / observed.working_distance_mm
         growth, growth_std = _growth(seen)
+        # D = h / (Ω (1 − h/W)), solved for Ω
         omega = block.height_mm / (1.0 - block.height_mm * per_distance) / read.offset_px
+        # the reading is of the rows where the block lies; Ω is that of the middle row
         omega = omega * (1.0 + growth * read.row_px)
         scale = _scale(seen, block, observed.working_distance_mm)
         size = views[0].frame.size
@@ -92,6 +95,7 @@ class BlockCalibrator(Calibrator[BlockCalibratorOptions]):
             turn_deg=views[0].frame.turn_deg,
             rest_px=rest_px,
             displacement_px_per_mm=1.0 / omega,
+            # true as estimated; Monte Carlo runs draw their errors here
             height_range_mm=(0.0, self.options.height_max_factor * block.height_mm),
             parameters={
                 "omega_mm_per_px": omega,
@@ -148,8 +152,10 @@ class _Read(NamedTuple):
 def _offsets(seen: list[BlockView], views: tuple[Observation, ...], stripes: int) -> _Read:
     """Give each stripe's displacement from the view that says it best."""
     offsets = np.stack([view.offset_px for view in seen])
+    # not seen counts as infinitely uncertain, so any view that shows the stripe wins
     stds = np.where(np.isfinite(offsets), np.stack([view.offset_std_px for view in seen]), np.inf)
     best = stds.argmin(axis=0)
+    # NaN where no view shows it
     offset = offsets[best, np.arange(stripes)]
     missing = np.flatnonzero(np.isnan(offset))
     if missing.size == stripes:
@@ -159,12 +165,14 @@ def _offsets(seen: list[BlockView], views: tuple[Observation, ...], stripes: int
             hint="is the block under the stripes, and clean and matt? is images.block the right file? "
             "is the number of stripes right?",
         )
+    # from fewer the fan's parabola cannot be checked, from the rest it would be extrapolated too far
     if missing.size > max(_EXTRAPOLATED_SHARE_MAX * stripes, 1.0) or stripes - missing.size < _FAN_MIN:
         names = ", ".join(str(stripe + 1) for stripe in missing)
         raise CalibrationError(
             f"stripe {names} is not seen on the block",
             hint="use a longer block, or add images with the block moved along X to where it is missing",
         )
+    # all light comes from one side, so all stripes move to one side; else lines were matched wrongly
     if (offset > 0).any() and (offset < 0).any():
         names = ", ".join(str(stripe + 1) for stripe in np.flatnonzero(offset > 0))
         raise CalibrationError(
@@ -201,10 +209,12 @@ def _filled(read: _Read, rest_px: Floats) -> tuple[_Read, float, tuple[str, ...]
     known = np.isfinite(offset_px)
     if known.sum() < _FAN_MIN:
         return read, 0.0, ()
+    # in shares of the width of the fan: a place in px and its square would differ a thousandfold
     place = (rest_px[:, 0] - rest_px[:, 0].mean()) / max(float(np.ptp(rest_px[:, 0])), 1.0)
     powers = np.polynomial.polynomial.polyvander(place, 2)
     inverse = np.linalg.pinv(powers[known])
     fan_px = powers @ (inverse @ offset_px[known])
+    # relative, as a displacement is proportional to the lean of its plane
     deviation = np.where(known, np.abs(offset_px / fan_px - 1.0), 0.0)
     worst = int(deviation.argmax())
     if deviation[worst] > _FAN_RESIDUAL_MAX:
@@ -216,10 +226,13 @@ def _filled(read: _Read, rest_px: Floats) -> tuple[_Read, float, tuple[str, ...]
     if known.all():
         return read, float(deviation[worst]), ()
     left = (offset_px - fan_px)[known]
+    # three coefficients were fitted
     scatter_px = float(np.sqrt((left**2).sum() / max(known.sum() - 3, 1)))
+    # of a prediction: a stripe's own scatter about the fan, and the fan's uncertainty at its place
     lever = np.sqrt(1.0 + ((powers @ inverse) ** 2).sum(axis=1))
     names = ", ".join(str(stripe + 1) for stripe in np.flatnonzero(~known))
     said = f"stripe {names} misses the block: its displacement is extrapolated from the fan of the others"
+    # the same linear combination of the others' readings gives displacement and derivative
     filled = _Read(
         np.where(known, offset_px, fan_px),
         np.where(known, read.std_px, scatter_px * lever),
@@ -232,6 +245,7 @@ def _filled(read: _Read, rest_px: Floats) -> tuple[_Read, float, tuple[str, ...]
 def _scale(seen: list[BlockView], block: Block, working_distance_mm: float | None) -> _Scale:
     """Millimetres per pixel at belt level, from the block's width at its top."""
     widths_px = [view.width_px for view in seen if np.isfinite(view.width_px)]
+    # the width alone: across the stripes the block's edges lie between two of them, unseen
     if not widths_px:
         raise CalibrationError(
             "the block's edges along the stripes cannot be told from the neighbours' belt lines",
@@ -243,21 +257,25 @@ def _scale(seen: list[BlockView], block: Block, working_distance_mm: float | Non
     at_top = block.width_mm / width_px
     seen_mm = at_top * max(view.span_px for view in seen if np.isfinite(view.span_px))
     if seen_mm > block.length_mm:
+        # what is seen of the length can only be less than all of it: else the sides are swapped
         raise CalibrationError(
             f"by its width of {block.width_mm:g} mm the block would be at least {seen_mm:.0f} mm long, "
             f"but its length is given as {block.length_mm:g} mm",
             hint="length_mm is the side across the stripes, width_mm the one along them: are they swapped?",
         )
     own = np.hypot(block.tolerance_mm / np.sqrt(3.0) / block.width_mm, edge_std_px / width_px)
+    # a tolerance is a half-width (rectangular), the edges' scatter a standard deviation
     notes = ["square pixels assumed: the scale along the stripes is used across them as well"]
     if working_distance_mm is not None:
         factor = working_distance_mm / (working_distance_mm - block.height_mm)
+        # similar triangles: the top is W − h away from the camera, the belt W
         notes.append(
             f"scale taken from the block's top to the belt by the working distance: × {factor:.4f}; "
             "heights and places above the belt are taken in perspective with it"
         )
         return _Scale(at_top * factor, float(own), tuple(notes))
     unknown = 1.0 / _DISTANCE_MIN_HEIGHTS / np.sqrt(3.0)
+    # rectangular: the scale is too small by anything from nothing to a tenth
     notes.append(
         "the working distance is not known: the scale is that of the block's top, "
         f"and may be too small at the belt; {unknown:.1%} stands in its uncertainty"
@@ -285,10 +303,12 @@ def _covariance(
     size = n + 1 + k * n + 3  # the last three: the distance, which the rig file gives, growth and bow
     covariance = np.zeros((size, size))
     distance, growth, bow = size - 3, size - 2, size - 1
+    # rows: derivatives of all parameters by growth, 1/W and the lens's bow, each common to all stripes
     common = np.zeros((3, size))
     common[0, :n], common[0, growth] = omega * read.row_px, 1.0
     common[1, :n] = omega * block.height_mm / (1.0 - block.height_mm * per_distance)
     common[1, distance] = 1.0
+    # a bow that is taken out wrongly changes a displacement by `per_bow`, and Ω inversely
     common[2, :n], common[2, bow] = -omega / read.offset_px * read.per_bow, 1.0
     variances = (growth_std**2, (_TILT_MAX * per_distance) ** 2 / 3.0, rest.bow_std_per_px2**2)
     for by, variance in zip(common, variances, strict=True):
@@ -296,11 +316,14 @@ def _covariance(
     height_relative = block.tolerance_mm / np.sqrt(3.0) / block.height_mm
     covariance[:n, :n] += np.diag((omega * read.std_px / read.offset_px) ** 2)
     covariance[:n, :n] += height_relative**2 * np.outer(omega, omega)
+    # of one stripe's reading, independent of the others
     covariance[n, n] = (scale.mm_per_px * scale.relative_std) ** 2
+    # the block's height is the same for all stripes, so their Ω err together
     for stripe in range(n):
         own = slice(n + 1 + k * stripe, n + 1 + k * (stripe + 1))
         by_rest = omega[stripe] / read.offset_px[stripe] * read.row_px[stripe] ** np.arange(k)
         covariance[own, own] = rest.covariance[stripe]
+        # e px at the row where the block was read: the rest line's polynomial there
         covariance[stripe, own] = covariance[own, stripe] = rest.covariance[stripe] @ by_rest
         covariance[stripe, stripe] += by_rest @ rest.covariance[stripe] @ by_rest
     return covariance

@@ -1,5 +1,17 @@
 """Triangulation by one coefficient a stripe (section 3.4, equations 3 and 4).
 
+Model. H = Ω_i D2: the height of a point of stripe i is proportional to its displacement D2 from the stripe's
+rest line (the paper's equation 4). Where the calibration knows the camera's distance W from the belt,
+perspective is taken out: H = Ω D2 / (1 + Ω D2 / W), and X and Y, at belt level mm/px times pixels from the
+image's centre, shrink by 1 − H/W. Without it both are the paper's: higher things look larger. The origin is
+the belt point at the image's centre. Where the calibration saw the lens bow the belt's lines, places in the
+image are undistorted first; where it saw displacements grow along the rows, by a tilted camera, they are
+brought to the middle row.
+
+Assumed: the camera looks straight down, pixels are square, and each plane of light cuts the belt in a line
+that is straight but for the lens. It fails for a camera that is tilted across the stripes (it acts as a wrong
+distance) and for lenses with more than a first radial term.
+
 `block_view` and `light_planes` say of camera and planes what a block calibration can: enough for coding and
 outlines, not exact.
 """
@@ -21,14 +33,7 @@ from roemetry.stages import Capabilities, StageOptions, Triangulator
 
 
 class BlockLinear(Triangulator[StageOptions]):
-    """H = Ω_i · D2: height is proportional to the displacement from the stripe's rest line.
-
-    Where the calibration knows the camera's distance W from the belt, perspective is taken out: H =
-    Ω D2 / (1 + Ω D2 / W), and X and Y, at belt level mm/px times pixels from the image's centre, shrink by
-    1 − H/W. Without it both are the paper's: higher things look larger. The camera is taken to look straight
-    down. The origin is the belt point at the image's centre. Where the calibration saw the lens bow the
-    belt's lines, places in the image are undistorted first.
-    """
+    """H = Ω_i · D2: height is proportional to the displacement from the stripe's rest line."""
 
     capabilities = Capabilities(height_tolerance_mm=1e-9)
 
@@ -58,8 +63,10 @@ class BlockLinear(Triangulator[StageOptions]):
             across_px, down_px = straight[..., 0], straight[..., 1]
         else:
             away_px, across_px, down_px = x_px - stripes.rest_px, x_px - middle_px, rig.from_middle
+        # height by the displacement, then by the perspective
         height_mm = omega[:, None] * away_px / (1.0 + rig.growth_per_px * down_px)
         height_mm /= 1.0 + rig.per_distance * height_mm
+        # a higher point is seen larger: it stands nearer to the axis
         shrunk = 1.0 - rig.per_distance * height_mm
         xyz_mm = np.empty((*x_px.shape, 3))
         xyz_mm[:, :, 0] = across_px * scale * shrunk
@@ -88,6 +95,7 @@ class BlockLinear(Triangulator[StageOptions]):
             name: value / (1.0 + zoom) if name in _GROW else value
             for name, value in calibration.parameters.items()
         }
+        # what the motion is unsure by moves rest lines and scale together
         covariance = calibration.covariance
         if alignment.covariance.any() and "rest_error_px" in parameters:
             of_rest = [
@@ -194,6 +202,7 @@ def _turned_lines(calibration: Calibration, motion: Floats) -> Floats:
     slope = np.polynomial.polynomial.polyval(y, np.polynomial.polynomial.polyder(known.T))
     away = x - (columns - 1) / 2.0
     per_px = _per_distance(calibration) * float(calibration.parameters["mm_per_px"][0])
+    # along the row a line slides by its slope, all to first order
     along = roll * away + zoom * y - tilt * (y * y * per_px + (1.0 / per_px if per_px else 0.0))
     moved = pan_px * (1.0 + (away * per_px) ** 2) - roll * y + zoom * away - tilt * away * y * per_px
     degree = max(known.shape[1] - 1, 1)
@@ -260,6 +269,7 @@ def block_view(
     height = _ABOVE_MM if working_distance_mm is None else working_distance_mm
     focal = 1.0 / mm_per_px if telecentric else height / mm_per_px
     middle_x, middle_y = (columns - 1) / 2.0, (rows - 1) / 2.0
+    # looking straight down: y and z are turned
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[2, 3] = height
     k1 = 0.0 if telecentric else bow_per_px2 * focal**2

@@ -140,6 +140,7 @@ def rest_polynomials(observed: CalibrationSet) -> RestFit:
     CalibrationError
         Not the expected number of stripes.
     """
+    # without an image of the empty belt, the belt above and below the block has to do
     belts = observed.showing("belt")
     if not belts:
         view = observed.showing("block")[0]
@@ -149,6 +150,7 @@ def rest_polynomials(observed: CalibrationSet) -> RestFit:
     for view in belts:
         peaks = _centred(view)
         lines = _strongest(_lines_in(peaks, np.arange(len(peaks))), observed.stripe_count)
+        # a stripe too many or too few would number all those to its right wrongly
         if len(lines) != observed.stripe_count:
             raise CalibrationError(
                 f"{view.frame.name}: {observed.stripe_count} stripes are expected on the empty belt, "
@@ -170,38 +172,48 @@ def view_of_block(view: Observation, fit: RestFit) -> BlockView:
     stripes = rest_px.shape[0]
     peaks = _centred(view)
     from_middle = np.arange(peaks.image_size[0]) - (peaks.image_size[0] - 1) / 2.0
+    # (stripe, row) rest lines in the image, as the lens shows them
     rest = np.polynomial.polynomial.polyval(from_middle, rest_px.T)
     middle_px, bow = (peaks.image_size[1] - 1) / 2.0, fit.bow_per_px2
     mean, std, scatter, at_row, growth, growth_std, by_bow = np.full((7, stripes), np.nan)
     first, last = np.full((2, stripes, 2), np.nan)
+    # a stripe that misses the block keeps NaN
     for stripe, line in _on_the_block(peaks, rest, max(_ROOM_MIN_PX, _ROOM_SIGMAS * fit.rms_px)).items():
         row, x = _one_a_row(peaks, line)
+        # displaced at all: beyond the scatter of whole pixels, below any block
         offset = x - rest[stripe, row]
         run = _longest_run(row, np.abs(offset) > _DISPLACED_MIN_PX)
         if run.size < _BLOCK_ROWS_MIN:
             continue
+        # chamfers and smeared edges at both ends
         trim = int(_TRIM * run.size)
         inside = run[trim : run.size - trim]
+        # of what is left, strays far from the median
         inside = inside[np.abs(offset[inside] - np.median(offset[inside])) < _DISPLACED_MIN_PX]
         own = row[inside]
+        # displacements without the lens, and where they were read from the image's middle
         inner, straight = displacements(x[inside], from_middle[own], rest_px[stripe], middle_px, bow)
         off_middle = straight[:, 1]
         mean[stripe], std[stripe] = inner.mean(), _std_of_mean(inner)
         scatter[stripe] = inner.std()
         at_row[stripe] = off_middle.mean()
+        # a line through displacement over row; its slope over its value is the relative growth
         grown, of_line, _ = _line(off_middle - off_middle.mean(), inner, 1)
         growth[stripe] = grown[1] / grown[0]
         growth_std[stripe] = np.sqrt(of_line[1, 1]) / abs(grown[0])
         # a place r from the middle is seen at r + κ r³: what one unit of κ takes off the displacement
+        # where the rest line is seen in the same rows
         at_rest = np.column_stack([straight[:, 0] - inner, straight[:, 1]])
         by_bow[stripe] = np.mean(
             at_rest[:, 0] * (at_rest**2).sum(axis=1) - straight[:, 0] * (straight**2).sum(axis=1)
         )
+        # by the top's own displacement, from a row in its midst up and down
         edges = _edges(peaks, rest, stripe, float(offset[inside].mean()), int(row[run[run.size // 2]]))
         if edges is not None:
             ends = np.array(edges) - (peaks.image_size[0] - 1) / 2.0
             at_edges = np.full(2, x[run].mean())
             first[stripe], last[stripe] = displacements(at_edges, ends, rest_px[stripe], middle_px, bow)[1]
+    # place along X of the top, half way between its edges, without the lens
     place = 0.5 * (first[:, 0] + last[:, 0])
     width, width_std, edge_rms, yaw = _width(place, first[:, 1], last[:, 1])
     scatter_px = float(np.nanmean(scatter)) if np.isfinite(scatter).any() else np.nan
@@ -214,6 +226,7 @@ def view_of_block(view: Observation, fit: RestFit) -> BlockView:
 def _centred(view: Observation) -> Peaks:
     """Give an image's peaks; whole pixels are replaced by the stripes' centres there."""
     peaks = view.peaks
+    # an extractor that gives fractions or states an uncertainty has found the centre itself
     if not is_whole(peaks.x_px) or np.isfinite(peaks.x_std_px).any():
         return peaks
     x_px = centres(view.frame.pixels, peaks.row, peaks.x_px, peaks.background, peaks.amplitude)
@@ -222,6 +235,7 @@ def _centred(view: Observation) -> Peaks:
 
 def _in_order(peaks: Peaks, x_px: Floats) -> Flags:
     """Say which peaks would still stand in a row's order; two on one plateau have the same centre."""
+    # a row whose peaks would change places keeps the extractor's
     ahead = (np.diff(x_px) <= 0.0) & (np.diff(peaks.row) == 0)
     row = np.isin(peaks.row, peaks.row[1:][ahead])
     return np.asarray(~row)
@@ -232,29 +246,35 @@ def _lines_in(peaks: Peaks, chosen: Integers) -> list[Integers]:
     if not chosen.size:
         return []
     row, x_px = peaks.row[chosen].astype(np.float64), peaks.x_px[chosen]
+    # where each row begins among the chosen peaks
     starts = np.searchsorted(peaks.row[chosen], np.arange(peaks.image_size[0] + 1))
     fragment, _ = trace_fragments(starts, np.ascontiguousarray(x_px), _BODY_STEP_PX)
     order = np.argsort(fragment, kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(fragment[order])) + 1)
     lines: list[Integers] = []
     curves: list[Floats] = []
+    # long pieces first: they point well, and short ones are judged by them
     for part in sorted(parts, key=len, reverse=True):
+        # two points are no course
         if len(part) < 3:
             break
+        # the median distance of the piece from each line so far, at the piece's own rows
         off = [abs(float(np.median(x_px[part] - _at(curve, row[part])))) for curve in curves]
         near = int(np.argmin(off)) if off else -1
         if near >= 0 and off[near] < _JOIN_PX:
             lines[near] = np.concatenate([lines[near], part])
-        elif len(part) >= _LINE_ROWS_MIN:
+        elif len(part) >= _LINE_ROWS_MIN:  # a line of its own; shorter pieces near no line are dropped
             lines.append(part)
             curves.append(np.empty(0))
             near = len(lines) - 1
         else:
             continue
         curves[near] = _curve(row[lines[near]], x_px[lines[near]])
+    # what is left of two halves that were both too short at first
     lines = _merged(lines, row, x_px)
     longest = max((line.size for line in lines), default=0)
     lines = [line for line in lines if line.size >= max(_LINE_ROWS_MIN, _LINE_SHARE_MIN * longest)]
+    # left to right in the middle row: lines are nearly parallel, but reflections need not be
     middle = float(np.median(row))
     lines.sort(key=lambda line: float(_at(_curve(row[line], x_px[line]), middle)))
     return [np.sort(chosen[line]) for line in lines]
@@ -265,6 +285,7 @@ def _merged(lines: list[Integers], row: Floats, x_px: Floats) -> list[Integers]:
     kept: list[Integers] = []
     for line in sorted(lines, key=len, reverse=True):
         for number, other in enumerate(kept):
+            # the longer one's curve is extrapolated to the shorter one's rows
             curve = _curve(row[other], x_px[other])
             if abs(float(np.median(x_px[line] - _at(curve, row[line])))) < _JOIN_PX:
                 kept[number] = np.concatenate([other, line])
@@ -279,10 +300,12 @@ def _curve(row: Floats, x_px: Floats) -> Floats:
     degree = 2 if np.ptp(row) >= _BOW_ROWS_MIN and row.size >= _BOW_ROWS_MIN else 1
     middle = row.mean()
     keep = np.ones(row.size, np.bool_)
+    # three rounds, each without the strays of the one before
     found = np.zeros(1)
     for _ in range(3):
         found = np.polynomial.polynomial.polyfit(row[keep] - middle, x_px[keep], degree)
         off = np.abs(x_px - np.polynomial.polynomial.polyval(row - middle, found))
+        # at least half a pixel, or whole-pixel peaks on a perfect line would be thrown out
         keep = off <= max(3.0 * _MAD_TO_STD * float(np.median(off)), 0.5)
     return np.append(found, middle)
 
@@ -294,6 +317,7 @@ def _at(curve: Floats, row: Floats | float) -> Floats:
 def _one_a_row(peaks: Peaks, line: Integers) -> tuple[Integers, Floats]:
     """Give the rows of a line and x in each, px: the mean of its peaks by their height."""
     row, at = np.unique(peaks.row[line], return_inverse=True)
+    # by light: of two speckles in one stripe the brighter is nearer to its middle
     light = np.maximum(peaks.amplitude[line], 1e-6)
     return row.astype(np.int64), np.bincount(at, light * peaks.x_px[line]) / np.bincount(at, light)
 
@@ -303,7 +327,9 @@ def _strongest(lines: list[Integers], count: int) -> list[Integers]:
     if len(lines) <= count:
         return lines
     size = np.array([line.size for line in lines])
+    # the weakest line that is needed, and the strongest that is not
     weakest, surplus = np.sort(size)[::-1][count - 1 : count + 1]
+    # as strong as a stripe: then the number of stripes is wrong, which is for the caller to say
     if surplus > _SURPLUS_SHARE * weakest:
         return lines
     return [line for line, own in zip(lines, size, strict=True) if own >= weakest]
@@ -322,6 +348,7 @@ def _on_the_block(peaks: Peaks, rest: Floats, room_px: float) -> dict[int, Integ
     found = np.array([_at(_curve(peaks.row[line].astype(float), peaks.x_px[line]), middle) for line in lines])
     at_rest = rest[:, middle]
     best: list[tuple[float, float, dict[int, int]]] = []
+    # the first line on the block is of stripe `shift`, if `skipped` lines before it are belt
     for shift in range(stripes):
         for skipped in range(min(shift, len(lines)) + 1):
             tried = _matched(found, at_rest, shift, skipped)
@@ -329,10 +356,13 @@ def _on_the_block(peaks: Peaks, rest: Floats, room_px: float) -> dict[int, Integ
                 best.append(tried)
     if not best:
         return {}
+    # first what stays unexplained, then roughness
     best.sort(key=lambda one: (one[0], one[1]))
     chosen_one = best[0]
     for other in best[1:]:
+        # the same pairs reached in another way are no rival
         same = other[2] == chosen_one[2]
+        # another explains as much and is nearly as smooth: it is not plain which is right
         if not same and other[0] == chosen_one[0] and other[1] < _SMOOTHER * chosen_one[1]:
             return {}
     return {stripe: lines[line] for stripe, line in chosen_one[2].items()}
@@ -353,17 +383,23 @@ def _matched(
         if not 0 <= stripe < at_rest.size:
             break
         offset = float(found[line] - at_rest[stripe])
+        # still on its belt line, or to the other side than its neighbours: the block ends before it
         if abs(offset) <= _DISPLACED_MIN_PX or side * offset < 0.0:
             break
         side = np.sign(offset)
         pairs[stripe] = line
+    # three displacements show whether they change smoothly; two always do
     if len(pairs) < min(3, at_rest.size):
         return None
     hit, line_of = np.array(list(pairs)), np.array(list(pairs.values()))
     offsets = found[line_of] - at_rest[hit]
+    # in shares of the fan's width; the places' own irregularities are in `at_rest`, so the wrong shift is
+    # rough
     place = (at_rest[hit] - at_rest.mean()) / max(float(np.ptp(at_rest)), 1.0)
+    # with few pairs a parabola would fit whatever they are
     degree = min(2, len(pairs) - 2)
     rough = np.abs(offsets - np.polyval(np.polyfit(place, offsets, degree), place))
+    # lines that are neither: a stripe that stays on the belt is near its rest line
     left = [x for number, x in enumerate(found) if number not in pairs.values()]
     # a stripe is on the block or on its belt line in these rows, not on both
     near = [int(np.abs(at_rest - x).argmin()) for x in left]
@@ -371,10 +407,12 @@ def _matched(
         abs(float(at_rest[one] - x)) >= _DISPLACED_MIN_PX or one in pairs
         for one, x in zip(near, left, strict=True)
     )
+    # stripes that are seen nowhere: at an end the block's side may hide them, amid the others nothing can
     lost = [one for one in range(at_rest.size) if one not in pairs and one not in near]
     inner = sum(int(hit.min() < one < hit.max()) for one in lost)
     if len(lost) > _HIDDEN_MAX or inner:
         return None
+    # not below a twentieth of a pixel: the ratio of two tiny roughnesses tells nothing
     return float(unexplained), float(max(np.median(rough), 0.05)), pairs
 
 
@@ -385,15 +423,19 @@ def _rows_of_block(peaks: Peaks, rest: Floats, room_px: float) -> tuple[int, int
     """
     empty = np.zeros(rest.shape[1])
     for row in range(rest.shape[1]):
+        # each belt line's distance from the nearest peak of the row
         x = peaks.x_px[peaks.row_start[row] : peaks.row_start[row + 1]]
         off = np.abs(rest[:, row, None] - x[None, :]).min(axis=1, initial=np.inf)
         empty[row] = (off > room_px).mean()
     # the first and the last row hold no peaks of some extractors
     smooth = np.convolve(empty[1:-1], np.ones(_SMOOTH_ROWS) / _SMOOTH_ROWS, mode="same")
+    # nearly the largest share of stripes that leave their belt line at once
     most = float(np.percentile(smooth, 99.0))
     run = _longest_run(np.arange(1, rest.shape[1] - 1), smooth > 0.5 * most)
+    # fewer than one stripe leaves its line; or the block is short, or fills the image and no belt is seen
     if most < 0.8 / rest.shape[0] or run.size < _BLOCK_ROWS_MIN or run.size > 0.9 * rest.shape[1]:
         return None
+    # one row inside at either end, for smoothing blurs the edges
     return int(run[0]) + 1, int(run[-1]) - 1
 
 
@@ -407,7 +449,9 @@ def _fitted(stripe: Floats, from_middle: Floats, x_px: Floats, stripes: int, fra
     bowed = [_line(from_middle[stripe == one], x_px[stripe == one], 2) for one in range(stripes)]
     bow = np.array([line[2] for line, *_ in bowed])
     bow_std = np.sqrt([covariance[2, 2] for _, covariance, _ in bowed])
+    # both are tried: a parabola that is not needed only adds noise to each line
     many = np.ptp(from_middle) >= _BOW_ROWS_MIN
+    # the largest bow of all stripes decides for all: it is the lens's, not a stripe's
     seen = many and float(np.max(np.abs(bow) / bow_std)) > _BOW_SIGMAS
     found = bowed if seen else straight
     rms = float(np.sqrt(np.mean(np.concatenate([off**2 for *_, off in found]))))
@@ -417,12 +461,15 @@ def _fitted(stripe: Floats, from_middle: Floats, x_px: Floats, stripes: int, fra
             hint="is the belt flat and empty? a strongly distorting lens needs a full camera calibration",
         )
     lines, covariance = (np.stack([one[part] for one in found]) for part in (0, 1))
+    # from the middle column: a radial distortion bows a line by κ times its place there
     place = np.array([line[0] for line, *_ in bowed]) - (frame.size[1] - 1) / 2.0
+    # least squares of bow = κ · place over the stripes
     weight = place / max(float((place**2).sum()), 1.0)
     kappa = float(weight @ bow)
     # Birge's ratio: where stripes bow otherwise than a radial lens says (k2, tilt), what they show counts
     birge = float(np.sqrt((((bow - kappa * place) / bow_std) ** 2).sum() / max(stripes - 1, 1)))
     kappa_std = max(birge, 1.0) * float(np.sqrt(weight**2 @ bow_std**2))
+    # too few rows to see a bow: the uncertainty is that of a lens for measuring
     if not many:
         return RestFit(lines, rms, covariance, 0.0, _unseen_bow(frame))
     if not seen:
@@ -441,6 +488,7 @@ def _line(from_middle: Floats, x: Floats, degree: int) -> tuple[Floats, Floats, 
     keep = np.ones(x.size, np.bool_)
     off, found = x, np.zeros(degree + 1)
     for _ in range(3):
+        # outliers beyond three standard deviations, at least half a pixel: a whole pixel's rounding stays
         found = np.asarray(np.polynomial.polynomial.polyfit(from_middle[keep], x[keep], degree))
         off = x - np.polynomial.polynomial.polyval(from_middle, found)
         keep = np.abs(off) <= max(3.0 * float(np.std(off[keep])), 0.5)
@@ -450,12 +498,15 @@ def _line(from_middle: Floats, x: Floats, degree: int) -> tuple[Floats, Floats, 
 def _of_line(from_middle: Floats, off: Floats, degree: int = 1) -> Floats:
     """Covariance of a line through rows that are correlated over a few rows: from sums of batches."""
     powers = np.polynomial.polynomial.polyvander(from_middle, degree)
+    # of independent rows; the batches' sums put the correlation back in
     inverse = np.linalg.inv(powers.T @ powers)
     batches = off.size // _BATCH_ROWS
     if batches < _BATCHES_MIN:
+        # too few batches: the error of a batch counts for each of its rows
         return np.asarray(float(off @ off) / off.size * _BATCH_ROWS * inverse)
     batch = np.minimum(np.arange(off.size) // _BATCH_ROWS, batches - 1)
     sums = np.stack([np.bincount(batch, column * off) for column in powers.T])
+    # sandwich estimate, with a correction for the degrees of freedom that the line takes
     return np.asarray(inverse @ (sums @ sums.T) @ inverse * batches / (batches - 2))
 
 
@@ -471,7 +522,9 @@ def _from_block_image(view: Observation, stripes: int) -> RestFit:
     if lines is None:
         raise AssertionError("rest lines of a known number of stripes are found or refused")
     rows = np.arange(peaks.image_size[0]) - (peaks.image_size[0] - 1) / 2.0
+    # from the lowest power on, as `RestFit` has it
     rest = np.array([np.polyfit(rows, line, 1)[::-1] for line in lines.x_px])
+    # the search for rest lines allows four standard deviations
     rms = lines.tolerance_px / 4.0
     # the belt above and below the block: at least the image's ends
     ends = np.concatenate([rows[:_END_ROWS], rows[-_END_ROWS:]])
@@ -485,6 +538,7 @@ def _longest_run(rows: Integers, displaced: np.ndarray) -> np.ndarray:
     if not at.size:
         return at
     pieces = np.split(at, np.flatnonzero(np.diff(rows[at]) > _RUN_GAP_ROWS) + 1)
+    # the longest, not the first: dirt on the belt makes short ones
     return max(pieces, key=len)
 
 
@@ -500,13 +554,16 @@ def _edges(
     A row that is lit in part has a peak as well, so the last row with a peak lies outside the edge on the
     mean. The edge is where the peaks' amplitude falls to half of what it is on the top.
     """
+    # where the stripe is expected on the top, row by row
     top = lines[stripe] + offset_px
+    # half way to the nearest belt line, or as far as a displaced stripe may be off
     room = min(_DISPLACED_MIN_PX, float(np.abs(lines - top).min()) / 2.0)
     if room < _EDGE_ROOM_MIN_PX:
         return None
     sides = []
     for step in (-1, 1):
         row, missed, light = inside, 0, []
+        # over single rows without a peak, to the image's end at most
         while 0 <= row < lines.shape[1] and missed <= _EDGE_GAP_ROWS:
             own = slice(peaks.row_start[row], peaks.row_start[row + 1])
             away = np.abs(peaks.x_px[own] - top[row])
@@ -519,6 +576,7 @@ def _edges(
             row += step
         sides.append(np.array(light))
     usual = np.concatenate(sides)
+    # half of what lit rows have; the rows without a peak are not part of the usual
     half = 0.5 * float(np.median(usual[usual > 0.0])) if (usual > 0.0).any() else np.nan
     first, last = (_half_way(light, half) for light in sides)
     return inside - first, inside + last
@@ -527,9 +585,11 @@ def _edges(
 def _half_way(light: Floats, half: float) -> float:
     """Rows from the start at which light, followed to its end, falls below half for the last time."""
     lit = np.flatnonzero(light >= half)
+    # not even the first row: the edge is taken half a row off
     if not lit.size:
         return 0.5
     at = int(lit[-1])
+    # between the last row above half and the next, by a straight line
     after = float(light[at + 1]) if at + 1 < light.size else 0.0
     return at + float(light[at] - half) / float(light[at] - after)
 
@@ -537,6 +597,7 @@ def _half_way(light: Floats, half: float) -> float:
 def _std_of_mean(values: Floats) -> float:
     """Standard uncertainty of a mean of rows that are correlated over a few rows: from batch means."""
     batches = values.size // _BATCH_ROWS
+    # too few batches to average: as uncertain as one row
     if batches < 3:
         return float(values.std())
     means = values[: batches * _BATCH_ROWS].reshape(batches, _BATCH_ROWS).mean(axis=1)
@@ -549,6 +610,7 @@ def _width(place: Floats, first: Floats, last: Floats) -> tuple[float, float, fl
     if known.sum() < 3:
         return np.nan, np.nan, np.nan, 0.0
     slopes, residuals, starts = [], [], []
+    # both edges by lines of their own; on a turned block they are parallel
     for edge in (first[known], last[known]):
         slope, start = _robust_line(place[known], edge)
         slopes.append(slope)
@@ -556,15 +618,18 @@ def _width(place: Floats, first: Floats, last: Floats) -> tuple[float, float, fl
         residuals.append(edge - (start + slope * place[known]))
     slope = float(np.mean(slopes))
     middle = float(place[known].mean())
+    # length between the edges along the image rows, at the middle of the stripes
     along = starts[1] - starts[0] + (slopes[1] - slopes[0]) * middle
     scatter = _MAD_TO_STD * float(np.median(np.abs(residuals)))
     # each edge is known to a row (rectangular), better by averaging over the stripes' different phases
     std = np.sqrt(2.0 * max(scatter**2, 1.0 / 12.0) / known.sum())
+    # square to the edges it is shorter by the cosine of the turn
     return along * float(np.cos(np.arctan(slope))), float(std), scatter, -float(np.arctan(slope))
 
 
 def _robust_line(x: Floats, y: Floats) -> tuple[float, float]:
     """Slope and intercept by medians (Theil, Sen): a few edges that ran on along a belt line do not count."""
+    # all pairs; their median withstands up to 29 % of bad edges
     one, other = np.triu_indices(x.size, 1)
     slope = float(np.median((y[other] - y[one]) / (x[other] - x[one])))
     return slope, float(np.median(y - slope * x))
@@ -594,14 +659,17 @@ def centres(pixels: np.ndarray, row: Integers, x_px: Floats, background: Floats,
     if not row.size:
         return x_px
     reach = np.arange(-_REACH_MAX_PX, _REACH_MAX_PX + 1)
+    # a window about each peak; what lies beyond the border counts nothing
     at = np.rint(x_px).astype(np.int64)[:, None] + reach
     inside = (at >= 0) & (at < pixels.shape[1])
     grey = pixels[row[:, None], np.clip(at, 0, pixels.shape[1] - 1)].astype(np.float64)
+    # grey levels above half the peak's height
     above = np.where(inside, grey - (background + 0.5 * amplitude)[:, None], 0.0)
     high = above > 0.0
     middle = _REACH_MAX_PX
     # only what hangs together with the peak: another stripe may be near
     high[:, middle:] = np.logical_and.accumulate(high[:, middle:], axis=1)
+    # from the middle outwards, to either side
     high[:, : middle + 1] = np.logical_and.accumulate(high[:, middle::-1], axis=1)[:, ::-1]
     above *= high
     total = above.sum(axis=1)

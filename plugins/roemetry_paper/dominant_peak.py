@@ -1,9 +1,28 @@
 """The paper's peaks: maxima that rise above the valleys on both sides by a threshold.
 
 Lee, de Silva, Croft, Wu (2000), section 3.2. The scan walks the inner rows of a grey image (the first and
-last row and column are not searched), from left to right; in the kernels ``f`` is a row's grey levels.
-A measurement adds what is known of each peak. Places are whole pixels, and their uncertainty is not
-modelled. Ours are the automatic threshold, and the valley that is the lowest so far.
+last row and column are not searched), from left to right; in the kernels ``f`` is a row's grey levels. A
+measurement adds what is known of each peak. Places are whole pixels, and their uncertainty is not modelled.
+Ours are the automatic threshold, and the valley that is the lowest so far.
+
+Along a row, a maximum is a pixel not lower than the one before and higher than the one after; a minimum is
+one lower than the one before and not higher than the one after. The search goes left to right: its start is
+at first the row's first pixel, its end the minimum after the first maximum. The highest maximum between them
+is dominant if it exceeds both by more than the threshold; then the end becomes the next start. Else the end
+moves on to the next minimum. Of several equal maxima the leftmost counts.
+
+Decided where the paper is silent: behind the last minimum the row's last pixel is an end. Criterion 1 is
+printed as a difference between the two minima; it is read as between the peak and each of them.
+
+What to know before trusting it:
+
+- Positions are whole pixels, `x_std_px` is not stated.
+- The last pixel of a plateau counts, so a saturated stripe is reported 1 to 4 px to the right of its middle.
+  That is millimetres of height, unless belt and product saturate alike.
+- With ``start: fixed`` the start keeps its grey level however dark the row gets after it. A stripe to the
+  right of a bright image border, or of a step halfway down another stripe's slope, is lost unless it exceeds
+  that level too. ``start: lowest`` mends this; it is a peak search with hysteresis.
+- The threshold is fixed: stripes dimmer than it are lost. ``threshold: auto`` mends this.
 """
 
 from __future__ import annotations
@@ -58,27 +77,7 @@ class DominantPeakOptions(StageOptions):
 
 
 class DominantPeak(Extractor[DominantPeakOptions]):
-    """Finds peaks that exceed the valleys on both sides by a threshold (Lee et al. 2000, section 3.2).
-
-    Along a row, a maximum is a pixel not lower than the one before and higher than the one after; a minimum
-    is one lower than the one before and not higher than the one after. The search goes left to right: its
-    start is at first the row's first pixel, its end the minimum after the first maximum. The highest
-    maximum between them is dominant if it exceeds both by more than the threshold; then the end becomes the
-    next start. Else the end moves on to the next minimum. Of several equal maxima the leftmost counts.
-
-    Decided where the paper is silent: behind the last minimum the row's last pixel is an end. Criterion 1 is
-    printed as a difference between the two minima; it is read as between the peak and each of them.
-
-    What to know before trusting it:
-
-    - Positions are whole pixels, `x_std_px` is not stated.
-    - The last pixel of a plateau counts, so a saturated stripe is reported 1 to 4 px to the right of its
-      middle. That is millimetres of height, unless belt and product saturate alike.
-    - With ``start: fixed`` the start keeps its grey level however dark the row gets after it. A stripe to
-      the right of a bright image border, or of a step halfway down another stripe's slope, is lost
-      unless it exceeds that level too. ``start: lowest`` mends this; it is a peak search with hysteresis.
-    - The threshold is fixed: stripes dimmer than it are lost. ``threshold: auto`` mends this.
-    """
+    """Finds peaks that exceed the valleys on both sides by a threshold (Lee et al. 2000, section 3.2)."""
 
     capabilities = Capabilities(tolerance_px=0.55, saturated_tolerance_px=3.0)
     expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType(
@@ -92,9 +91,11 @@ class DominantPeak(Extractor[DominantPeakOptions]):
         """Find the dominant peaks of all rows but the first and the last."""
         # numba: loaded only when something runs
         stated, pixels = self.options.threshold, grey(frame)
+        # whole grey levels, rounded down: differences are whole, so `>` means the same as for the fraction
         threshold = rise_of(frame) if stated == "auto" else math.floor(scaled_level(stated, frame))
         lowest = self.options.start == "lowest"
         scan = dominant_peaks(pixels, threshold, lowest=lowest, white=frame.highest)
+        # an automatic threshold lets light pass that is low beside the stripes
         return as_peaks(frame, without_faint(scan) if stated == "auto" else scan)
 
 
@@ -154,12 +155,14 @@ def dominant_peaks(image: Pixels, threshold: int, *, lowest: bool, white: int) -
     """
     pixels = plain_layout(image)
     room = _PEAKS_A_ROW * pixels.shape[0]
+    # a row of noise may hold more peaks than there is room for
     while True:
         row, at = np.empty(room, np.int64), np.empty(room, np.int64)
         x_px, flags = np.empty(room, np.float64), np.empty(room, np.uint8)
         count = _scan_dominant(pixels, threshold, lowest, row, at, x_px, flags)
         if count <= room:
             break
+        # it counted on without writing: in the second run all fit
         room = count
     # Copies, so that a record which is kept for long does not hold the unused room.
     row, x_px, flags = row[:count].copy(), x_px[:count].copy(), flags[:count].copy()
@@ -183,6 +186,7 @@ def _scan_dominant(
     count = 0
     for y in range(1, rows - 1):
         f = image[y]
+        # as int64: differences of unsigned grey levels wrap around
         start = np.int64(f[0])
         x = 1
         while True:
@@ -194,6 +198,7 @@ def _scan_dominant(
                 for k in range(_BLOCK):
                     high = max(high, block[k])
                     low = min(low, block[k])
+                # the lowest the start can have become within the block
                 valley = min(start, np.int64(low)) if lowest else start
                 if np.int64(high) > valley + threshold:
                     # Most blocks that come here have such a pixel; one that has not costs its own walk.
@@ -205,12 +210,14 @@ def _scan_dominant(
                     if x < stop:
                         break
                 else:
+                    # nothing in the block exceeds the threshold: 16 pixels passed over at once
                     start = valley
                     x += _BLOCK
             while x < columns - 1 and np.int64(f[x]) <= start + threshold:
                 if lowest:
                     start = min(start, np.int64(f[x]))
                 x += 1
+            # the last column is not searched
             if x >= columns - 1:
                 break
             # 2: keep the highest pixel until the row falls. The last pixel may end a peak, not be one.
@@ -219,15 +226,19 @@ def _scan_dominant(
             x += 1
             while x < columns:
                 level = np.int64(f[x])
+                # on a plateau the last pixel counts, as the paper's definition of a maximum has it
                 if level > top or (level == top and peak == x - 1):
                     top = level
                     peak = x
                 elif level < top - threshold:
+                    # fallen by more than the threshold: the second criterion is met as well
                     break
                 x += 1
+            # the row ended before it fell far enough: no peak
             if x == columns:
                 break
             # 3: the next minimum, or the row's last pixel.
+            # the minimum that ends the peak is the next start
             while x < columns - 1 and f[x + 1] < f[x]:
                 x += 1
             start = np.int64(f[x])
@@ -261,11 +272,15 @@ def _measure(
         f = image[row[i]]
         peak = at[i]
         top = np.int64(f[peak])
+        # the first of a row: its valley reaches back to the row's first pixel
         if i == 0 or row[i - 1] != row[i]:
             left_valley = _lowest(f[: peak + 1])
         last = i == count - 1 or row[i + 1] != row[i]
+        # up to the next peak, or to the row's end
         right_valley = _lowest(f[peak:] if last else f[peak : at[i + 1] + 1])
+        # the higher valley: the peak must stand out on both sides
         base = max(left_valley, right_valley)
+        # what lies to the right of this peak lies to the left of the next
         left_valley = right_valley
         background[i] = base
         amplitude[i] = top - base
@@ -282,6 +297,7 @@ def _measure(
             # In floats, since differences of unsigned grey levels may wrap around.
             rise = np.float64(f[left + 1]) - np.float64(f[left])
             fall = np.float64(f[right - 1]) - np.float64(f[right])
+            # between pixels by straight lines through half height
             width_px[i] = (right - (half - f[right]) / fall) - (left + (half - f[left]) / rise)
         if top >= white:
             flags[i] |= SATURATED

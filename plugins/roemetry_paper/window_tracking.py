@@ -9,6 +9,12 @@ is hidden shifts the number of every body to its right. So here
 * what the paper does once for the whole image, by order, is done for every image row: where a row shows as
   many bodies as there is room for between two known stripes, each is certain. A segment takes the stripe
   that its rows agree on. Where they leave a choice, its peaks are refused as ambiguous.
+
+Assumed: on an opaque surface that is lit and seen from above, stripes keep their order along a row, and each
+has bare belt at both its ends. Where bodies may be hidden is an option (`hidden`). It refuses where order
+leaves a choice. It can be wrong where a stripe is seen twice in a row (an overhang, a reflection), and for a
+flat top at the height that displaces a stripe by one spacing, where something else hides the stripe that is
+missing beside it.
 """
 
 from __future__ import annotations
@@ -156,15 +162,19 @@ class WindowTracking(Coder[WindowTrackingOptions]):
     ) -> tuple[Integers, Floats, list[Reason]]:
         """Give (peak,) stripe or UNLABELLED or AMBIGUOUS, (peak,) margin, and what to say of it."""
         line = rest.line
+        # what is certainly belt anchors everything else
         belt = belt_of(peaks, fragment, fragments, line, rest.x_px.shape[0])
         refuse_bare_lines(belt.live.size > 0, rest.x_px.shape[0])
         small = np.bincount(fragment, minlength=fragments) < self.options.smallest_area_px
+        # belt is kept however short: it is known by its place, not by its length
         noise = small[belt.fragment] & ~belt.anchored
         low, high = _displacements(rest, belt.live, calibration)
         rest_live = np.ascontiguousarray(rest.x_px[belt.live])
         light = _light_side(calibration) if self.options.hidden == "facing-light" else 0
         label, margin = self._settle(peaks, belt, noise, rest_live, low, high, light)
+        # back from the index among the lit stripes to the calibration's number
         stripe = np.where(label >= 0, belt.live[np.maximum(label, 0)], label)
+        # at most one peak a stripe and row, then order along the row, then gaps that nothing explains
         of_peak = drop_doubles(peaks, stripe[belt.segment], line, belt.rows[belt.segment])
         of_peak = keep_order(peaks, of_peak)
         displacement = (
@@ -182,6 +192,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         big = np.flatnonzero(rows >= self.options.smallest_area_px)
         if not big.size:
             raise StageError("what was found in the image is too small to be stripes")
+        # many small pieces, or most peaks in none: speckle on a plain image
         if big.size > _PIECES_MAX or rows[big].sum() < _PIECES_SHARE_MIN * len(peaks):
             raise StageError(
                 f"{big.size} pieces were traced, with {rows[big].sum() / len(peaks):.0%} of the peaks: "
@@ -203,7 +214,9 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         light: int,
     ) -> tuple[Integers, Floats]:
         """From the belt to what order decides: (segment,) live stripe, UNLABELLED or AMBIGUOUS; margin."""
+        # noise neither votes nor takes room between known stripes
         used = np.where(noise[belt.segment], -1, belt.segment)
+        # belt is known from the start; each pass uses what the one before has settled
         label = belt.known
         margin = np.where(belt.anchored, 1.0, np.nan)
         for _ in range(_PASSES_MAX):
@@ -212,12 +225,15 @@ class WindowTracking(Coder[WindowTrackingOptions]):
             )
             agreement = _AGREEMENT_MIN[self.options.hidden]
             settled, gained = _decided(votes, voters, belt.rows, label, self.options.margin_min, agreement)
+            # the vote by which a segment was settled stays, even if later passes see fewer voters
             margin = np.where(settled, gained, margin)
             found = belt.continued(np.where(settled, votes.argmax(axis=1), label))
             if (found == label).all():
                 break
             label = found
+        # what was given up after all has no margin
         margin[label < 0] = np.nan
+        # undecided segments are refused, not guessed
         return np.where(noise, UNLABELLED, np.where(label >= 0, label, AMBIGUOUS)), margin
 
 
@@ -226,6 +242,7 @@ def _light_side(calibration: Calibration | None) -> int:
     if calibration is None:
         return 0
     side = np.sign(calibration.displacement_px_per_mm)
+    # planes on both sides of the camera: no side is in shadow for all
     return int(side[0]) if (side == side[0]).all() else 0
 
 
@@ -278,6 +295,8 @@ def vote_by_order(
     votes = np.zeros((segments, stripes), np.int64)
     voters = np.zeros(segments, np.int64)
     for row in range(row_start.shape[0] - 1):
+        # left of the first peak there is stripe −1, right of the last one `stripes`: both ends of the row are
+        # known
         left = -1
         p = row_start[row]
         end = row_start[row + 1]
@@ -291,6 +310,7 @@ def vote_by_order(
             right = stripes if q == end else label[segment[q]]
             if right <= left:
                 break  # known stripes out of order: this row contradicts itself from here on
+            # more unknown peaks than stripes between: one of them is false, and nothing says which
             if 0 < unknown <= right - left - 1:
                 j = 0
                 for u in range(p, q):
@@ -298,12 +318,16 @@ def vote_by_order(
                     if s < 0:
                         continue
                     voters[s] += 1
+                    # the j-th of k: at least j stripes to its left in the room, and k − 1 − j to its right
                     first, last = left + 1 + j, right - (unknown - j)
+                    # light from the left: what is missing lies on the left, so peaks are counted from the
+                    # right
                     if light < 0:
                         first = last
                     elif light > 0:
                         last = first
                     for stripe in range(first, last + 1):
+                        # order allows it; its place must, too
                         off = x_px[u] - rest_px[stripe, row]
                         if displacement_min_px[stripe] <= off <= displacement_max_px[stripe]:
                             votes[s, stripe] += 1
@@ -341,6 +365,7 @@ def doubtful_by_order(row_start: Integers, segment: Integers, label: Integers, s
     most = 0
     for row in range(row_start.shape[0] - 1):
         most = max(most, row_start[row + 1] - row_start[row])
+    # one place more than peaks: the block behind the last known one
     peak = np.empty(most + 1, np.int64)  # the known peaks of a row
     spare = np.empty(most + 1, np.int64)  # room left in the block before each known peak, and after the last
     for row in range(row_start.shape[0] - 1):
@@ -352,14 +377,18 @@ def doubtful_by_order(row_start: Integers, segment: Integers, label: Integers, s
             if label[s] < 0:
                 unknown += 1
                 continue
+            # negative where the block holds more unknown peaks than stripes are missing
             spare[count] = label[s] - left - 1 - unknown
             peak[count] = p
             count += 1
             left, unknown = label[s], 0
         spare[count] = stripes - left - 1 - unknown
         for block in range(count + 1):
+            # a block with too many peaks: a neighbour that lies between it and a block with room may be
+            # mislabelled
             if spare[block] >= 0:
                 continue
+            # to the left and to the right, the nearest block that has room; full ones only pass the doubt on
             other = block - 1
             while other >= 0 and spare[other] <= 0:
                 other -= 1
@@ -392,12 +421,14 @@ def drop_doubles(peaks: Peaks, stripe: Integers, line: Integers, segment_rows: I
         (peak,) length of the segment each peak is of, rows.
     """
     labelled = np.flatnonzero(stripe >= 0)
+    # one number for row and stripe, so that doubles are neighbours after sorting; the longer segment first
     cell = peaks.row[labelled] * (int(stripe.max(initial=0)) + 1) + stripe[labelled]
     order = np.lexsort((-segment_rows[labelled], cell))
     sorted_cell, sorted_peak = cell[order], labelled[order]
     result = stripe.copy()
     for k in np.flatnonzero(sorted_cell[1:] == sorted_cell[:-1]):
         longer, shorter = sorted_peak[k], sorted_peak[k + 1]
+        # exactly one of the two lies on the stripe's own rest line: the edge of the product in this row
         if (line[longer] == stripe[longer]) != (line[shorter] == stripe[shorter]):
             darker = shorter if peaks.amplitude[shorter] <= peaks.amplitude[longer] else longer
             result[darker] = UNLABELLED
@@ -417,6 +448,7 @@ _NO_BELT = Reason(
 
 def refuse_dark_rows(peaks: Peaks) -> None:
     """Refuse an image in which a block of rows shows no stripe at all: the belt is lit beside products."""
+    # rows with any peak; the image's ends count as lit, which makes gaps there one shorter
     lit = np.flatnonzero(np.diff(peaks.row_start))
     gaps = np.diff(np.concatenate([[0], lit, [peaks.image_size[0] - 1]]))
     if gaps.max() > _DARK_ROWS_MAX + 1:
@@ -441,6 +473,7 @@ def _decided(
     A row with more peaks than stripes does not vote. Where most rows of a segment are such, the few that
     vote are not believed: something is seen twice, and something else is hidden.
     """
+    # with one stripe there is no second best
     if votes.shape[1] > 1:
         ranked = np.partition(votes, -2, axis=1)
         best, second = ranked[:, -1], ranked[:, -2]
@@ -450,6 +483,7 @@ def _decided(
     margin = (best - second) / share
     settled = (
         (label < 0)
+        # few voters, or few of the segment's rows: not believed
         & (voters >= np.maximum(_VOTERS_MIN, _VOTING_SHARE_MIN * rows))
         & (best >= agreement_min * voters)
         & (margin >= margin_min)
@@ -465,6 +499,7 @@ def _displacements(rest: RestLines, live: Integers, calibration: Calibration | N
     view = calibration.view
     # nearer to the camera a millimetre is seen larger
     near = 0.0 if view is None or view.telecentric else 1.0 / float(view.camera_mm[2])
+    # D grows as 1 / (1 − h/W); at both ends of the calibrated heights
     ends = np.stack([per_mm * height / (1.0 - height * near) for height in calibration.height_range_mm])
     return ends.min(axis=0) - rest.tolerance_px, ends.max(axis=0) + rest.tolerance_px
 
@@ -516,13 +551,16 @@ class Belt:
             the rest line of another. A piece whose trace is another stripe on the one side it is known is
             given up: it may be either.
         """
+        # segments of one trace are numbered down the rows, so the pieces before and after are k − 1 and k + 1
         found = label.copy()
         for k in np.flatnonzero(self.on_line & ~self.anchored):
             before = self._neighbour(label, int(k), int(k) - 1)
             after = self._neighbour(label, int(k), int(k) + 1)
+            # the same stripe on both sides: only the rest line of another was crossed
             if before >= 0 and before == after:
                 found[k] = before
             elif label[k] >= 0 and max(before, after) >= 0 and label[k] not in (before, after):
+                # the order says one stripe, the trace another: neither is believed
                 found[k] = AMBIGUOUS
         return found
 
@@ -553,6 +591,7 @@ def belt_of(peaks: Peaks, fragment: Integers, fragments: int, line: Integers, st
     doubted = np.zeros(len(peaks), np.bool_)
     for _ in range(_BELT_PASSES_MAX):
         # a doubted peak is cut from its run by a line number that no anchor can have
+        # `line + stripes` still tells the line (modulo) but anchors nothing
         cut_line = np.where(doubted & (line >= 0), line + stripes, line)
         segment, segment_line = cut_at_rest_lines(
             fragment, cut_line, fragments, _BELT_ROWS_MIN, _FLICKER_ROWS
@@ -560,7 +599,9 @@ def belt_of(peaks: Peaks, fragment: Integers, fragments: int, line: Integers, st
         rows = np.bincount(segment, minlength=segment_line.size)
         anchored = _anchored(peaks, segment, np.where(segment_line < stripes, segment_line, -1))
         live = _live(segment_line, anchored, rows, stripes)
+        # anchored lines are all live, so the search finds each
         known = np.where(anchored, np.searchsorted(live, segment_line), -1)
+        # a peak is doubted once; the next pass works with what that leaves
         doubtful = doubtful_by_order(peaks.row_start, segment, known, live.size) & ~doubted
         often = np.bincount(segment[doubtful], minlength=rows.size) >= _DOUBTFUL_ROWS_MIN
         doubtful &= often[segment]
@@ -579,6 +620,7 @@ def _live(segment_line: Integers, anchored: Flags, rows: Integers, stripes: int)
     """
     if not anchored.any():
         return np.empty(0, np.int64)
+    # doubted runs count, too: their stripe may be lit although this run is not its belt
     line = segment_line % stripes
     mine = (segment_line >= 0) & (anchored | (rows >= _LIVE_ROWS_MIN))
     return np.unique(line[mine])
@@ -587,6 +629,7 @@ def _live(segment_line: Integers, anchored: Flags, rows: Integers, stripes: int)
 def _anchored(peaks: Peaks, segment: Integers, line: Integers) -> Flags:
     """Say which segments on a rest line reach the image's top or bottom, if need be over a flicker."""
     count = line.size
+    # first and last row of each segment
     first = np.full(count, peaks.image_size[0], np.int64)
     last = np.full(count, -1, np.int64)
     np.minimum.at(first, segment, peaks.row)
@@ -594,6 +637,7 @@ def _anchored(peaks: Peaks, segment: Integers, line: Integers) -> Flags:
     anchored = np.zeros(count, np.bool_)
     for number in np.unique(line[line >= 0]):
         mine = np.flatnonzero(line == number)
+        # from the image's top down, each run no farther than a flicker below the one before
         downwards = mine[np.argsort(first[mine])]
         reached = _BELT_END_ROWS
         for k in downwards:
@@ -601,6 +645,7 @@ def _anchored(peaks: Peaks, segment: Integers, line: Integers) -> Flags:
                 break
             anchored[k] = True
             reached = last[k] + _FLICKER_ROWS + 1
+        # and from the bottom up
         reached = peaks.image_size[0] - 1 - _BELT_END_ROWS
         for k in downwards[::-1]:
             if last[k] < reached:

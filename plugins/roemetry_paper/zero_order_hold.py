@@ -1,4 +1,28 @@
-"""Volume as the paper sums it: each slice's area held until the next stripe (section 3.6)."""
+"""Volume as the paper sums it: each slice's area held until the next stripe (section 3.6).
+
+Model. V = Σ xᵢ·Aᵢ over the slices, i = 1 … N − 1 (Lee et al. 2000).
+
+Aᵢ, mm², is the area between belt and product in slice i, along Y: each point's height times the length it
+stands for, half the way to each of its two neighbours. At the end of a curve a point stands for as much
+outwards as inwards, as a pixel of an image row does; so on rows of equal scale Aᵢ is the paper's sum of
+heights times the scale. Bridged points count like seen ones, rows with neither count nothing.
+
+xᵢ, mm, is the distance along X from the rest position of stripe i to that of the next live stripe: where
+their planes cut the belt (Z = 0), at the product's middle Y. The slices may come in any order.
+
+Decided where the paper is silent:
+
+- A stripe without any point between two that lie on the product is dead: the slice before it is held over it,
+  and that part counts as assumed. Stripes beyond the product are live and have the area 0.
+- Points below the belt are kept with their sign; they are noise around the belt, and dropping them would add
+  volume. Shares are reckoned with the heights' sizes.
+- No error is modelled, so the uncertainty is not stated. The true volume cannot be known from above.
+
+What to know before trusting it: nothing is added for what lies before the first stripe on the product, and
+the last slice is held although the product ends somewhere before the next stripe. Where both ends of the
+product lie between lit stripes the two errors nearly cancel; where it reaches beyond the outer stripes that
+part is missing, and the last stripe's slice is never counted.
+"""
 
 from __future__ import annotations
 
@@ -18,29 +42,7 @@ _UNSEARCHED_ROWS = 1  # at the image's top and bottom: the paper's extractors le
 
 
 class ZeroOrderHold(VolumeEstimator[StageOptions]):
-    """Sums area times spacing over the slices, V = Σ xᵢ·Aᵢ with i = 1 … N − 1 (Lee et al. 2000, section 3.6).
-
-    Aᵢ, mm², is the area between belt and product in slice i, along Y: each point's height times the length
-    it stands for, half the way to each of its two neighbours. At the end of a curve a point stands for as
-    much outwards as inwards, as a pixel of an image row does; so on rows of equal scale Aᵢ is the paper's
-    sum of heights times the scale. Bridged points count like seen ones, rows with neither count nothing.
-
-    xᵢ, mm, is the distance along X from the rest position of stripe i to that of the next live stripe: where
-    their planes cut the belt (Z = 0), at the product's middle Y. The slices may come in any order.
-
-    Decided where the paper is silent:
-
-    - A stripe without any point between two that lie on the product is dead: the slice before it is held
-      over it, and that part counts as assumed. Stripes beyond the product are live and have the area 0.
-    - Points below the belt are kept with their sign; they are noise around the belt, and dropping them
-      would add volume. Shares are reckoned with the heights' sizes.
-    - No error is modelled, so the uncertainty is not stated. The true volume cannot be known from above.
-
-    What to know before trusting it: nothing is added for what lies before the first stripe on the product,
-    and the last slice is held although the product ends somewhere before the next stripe. Where both ends
-    of the product lie between lit stripes the two errors nearly cancel; where it reaches beyond the outer
-    stripes that part is missing, and the last stripe's slice is never counted.
-    """
+    """Sums area times spacing over the slices: the volume as Lee et al. (2000, section 3.6) have it."""
 
     capabilities = Capabilities(relative_tolerance=0.01)
 
@@ -91,16 +93,21 @@ class _Slices(NamedTuple):
 def _slices(profiles: Profiles, curves: BodyCurves) -> _Slices:
     count = profiles.slice_count
     alone = bool((curves.size == 1).any())
+    # only a curve of one point needs the scale along Y, for it has no neighbour to tell
     row_mm = _mm_per_row(profiles, curves) if alone else np.nan
     sums, y_mm = slice_sums(curves, profiles.xyz_mm, profiles.seen, row_mm)
+    # planes lean against Y: spacings are taken where the product is
     rest_mm = _rest_mm(profiles, 0.5 * float(y_mm[0] + y_mm[1]))
+    # along X; stable, so that slices at one place keep their order
     order = np.argsort(rest_mm, kind="stable")
     rest_mm, stripe, frame = rest_mm[order], profiles.stripe[order], profiles.frame[order]
+    # sums of the heights, seen part, bridged part, each (slice,)
     area_mm2, seen_mm2, bridged_mm2 = np.ascontiguousarray(sums[order].T)
     lit = np.zeros(count, np.bool_)
     lit[curves.slice[curves.first]] = True
     lit = lit[order]
     dead = ~lit
+    # dead is only said between the first and the last stripe on the product
     dead[: int(lit.argmax())] = dead[count - int(lit[::-1].argmax()) :] = False
     for place in dead.nonzero()[0]:  # amid the product: without any point, or live and of the area 0
         dead[place] = np.isnan(profiles.xyz_mm[order[place], :, 2]).all()
@@ -126,6 +133,7 @@ def _mm_per_row(profiles: Profiles, curves: BodyCurves) -> float:
     joined[curves.first] = False
     if joined.any():
         step_mm, step_px = np.abs(np.diff(y_mm, prepend=np.nan)), np.diff(row_px, prepend=np.nan)
+        # median: one torn pair of neighbours does not matter
         return float(np.median(step_mm[joined] / step_px[joined]))
     rows = float(np.ptp(row_px))
     if rows == 0.0:
@@ -134,6 +142,7 @@ def _mm_per_row(profiles: Profiles, curves: BodyCurves) -> float:
 
 
 def _rest_mm(profiles: Profiles, y_mm: float) -> Floats:
+    # plane n·X = d at Z = 0: x = (d − n_y y) / n_x
     """X at which each slice's plane cuts the belt at a given Y, mm."""
     nx, ny, _, d = profiles.plane.T
     if (np.abs(nx) < 1e-9).any():
@@ -144,9 +153,11 @@ def _rest_mm(profiles: Profiles, y_mm: float) -> Floats:
 
 
 def _shares(slices: _Slices) -> Shares:
+    # by the heights' sizes, or points below the belt could make a share negative
     sizes = slices.seen_mm2 + slices.bridged_mm2
     total = float(sizes @ slices.spacing_mm)
     return Shares(
+        # up to the next stripe, dead or live, a slice is measured; beyond it is held, hence assumed
         seen=float(slices.seen_mm2 @ slices.own_mm) / total,
         interpolated=float(slices.bridged_mm2 @ slices.own_mm) / total,
         assumed=float(sizes @ (slices.spacing_mm - slices.own_mm)) / total,
@@ -154,6 +165,7 @@ def _shares(slices: _Slices) -> Shares:
 
 
 def _no_volume(slices: _Slices, volume_mm3: float) -> str:
+    # some slice but the last is lit: then its heights are to blame
     if slices.lit[:-1].any():
         return f"the slices sum up to {volume_mm3:.4g} mm³: the points lie on or below the belt"
     return "only the last stripe lies on the product, and the paper's sum does not count it"
@@ -162,6 +174,7 @@ def _no_volume(slices: _Slices, volume_mm3: float) -> str:
 def _reasons(product: Product, curves: BodyCurves, slices: _Slices) -> tuple[Reason, ...]:
     profiles, calibration = product.profiles, product.calibration
     reasons = []
+    # a slice that is held over dead stripes
     held = slices.lit & (slices.missing > 0)
     if held.any():
         after = ", ".join(str(stripe + 1) for stripe in slices.stripe[held])
@@ -173,6 +186,7 @@ def _reasons(product: Product, curves: BodyCurves, slices: _Slices) -> tuple[Rea
                 "the slice before is held over the gap",
             )
         )
+    # only matters if there was something to count
     if slices.lit[-1] and slices.area_mm2[-1] != 0.0:
         reasons.append(
             Reason("last-slice-not-counted", "the last lit stripe's slice is not counted (the paper's sum)"),
@@ -186,11 +200,14 @@ def _reasons(product: Product, curves: BodyCurves, slices: _Slices) -> tuple[Rea
                 "nothing is counted there",
             )
         )
+    # the rows beyond are not searched by the paper's extractors, so reaching them is as good as leaving the
+    # image
     if lowest <= _UNSEARCHED_ROWS or highest >= calibration.image_size[0] - 1 - _UNSEARCHED_ROWS:
         reasons.append(
             Reason("cut-by-edge", "the product reaches the image's first or last row; it may go on beyond"),
         )
     outermost = (0, calibration.stripe_count - 1)
+    # by place, not by number: stripes may come in either order
     if any(slices.lit[end] and slices.stripe[end] in outermost for end in (0, -1)):
         reasons.append(
             Reason(
@@ -224,15 +241,19 @@ def slice_sums(curves: BodyCurves, xyz_mm: Floats, seen: Flags, row_mm: float) -
             s, p = slice_of[k], point_of[k]
             y, z = xyz_mm[s, p, 1], xyz_mm[s, p, 2]
             y_mm[0], y_mm[1] = min(y_mm[0], y), max(y_mm[1], y)
+            # neighbours within one curve only
             before = abs(y - xyz_mm[slice_of[k - 1], point_of[k - 1], 1]) if k > first[c] else math.nan
             after = abs(xyz_mm[slice_of[k + 1], point_of[k + 1], 1] - y) if k < last else math.nan
+            # at its ends a point reaches outwards as far as inwards
             if k == first[c]:
                 before = after
             if k == last:
                 after = before
+            # a curve of one point has neither neighbour
             length = row_mm if math.isnan(before) else 0.5 * (before + after)
             part = z * length
             sums[s, 0] += part
+            # sizes for the shares, the sign for the area
             sums[s, 1 if seen[s, p] else 2] += abs(part)
     return sums, y_mm
 
@@ -260,17 +281,22 @@ def held_over(
     for k in range(count):
         if not dead[k]:
             if live >= 0:
+                # closed when the next live slice comes
                 spacing[live] = rest_mm[k] - rest_mm[live]
+                # the step to this live slice was counted, too
                 missing[live] -= 1
+                # two slices at one place: the first is held over nothing
                 if spacing[live] <= 0.0:
                     own[live] = 0.0
             live = k
         if k < count - 1:
+            # stripes without a slice between the two, by number
             step = max(abs(stripe[k + 1] - stripe[k]), 1) if frame[k + 1] == frame[k] else 1
             if live >= 0:
                 missing[live] += step
             if live == k:
                 own[k] = (rest_mm[k + 1] - rest_mm[k]) / step
+    # behind the last live slice there is nothing to hold it over
     if live >= 0:
         own[live], missing[live] = 0.0, 0
     return spacing, own, missing
@@ -286,6 +312,7 @@ def rows_reached(row_px: Floats, curves: BodyCurves) -> tuple[float, float, int]
         lowest, highest = min(lowest, row), max(highest, row)
     for c in range(1, first.size):
         k = first[c]
+        # two curves of one slice: between them neither seen nor bridged
         if slice_of[k] == slice_of[k - 1]:
             step = row_px[slice_of[k], point_of[k]] - row_px[slice_of[k - 1], point_of[k - 1]]
             between += int(np.rint(step)) - 1

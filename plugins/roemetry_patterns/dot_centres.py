@@ -115,18 +115,23 @@ def found_dots(image: Floats, white: int, amplitude_min: float | None = None) ->
         return np.empty((0, 3)), 1.0
     # of rounded grey levels that hardly scatter, the rounding is what remains
     usual = median_of(np.abs(np.diff(image[::_NOISE_ROWS], axis=1)).ravel())
+    # a difference has twice the variance; 1.4826 makes a median a standard deviation
     noise = max(1.4826 * usual / math.sqrt(2.0), 0.3)
     smooth = (cv2.GaussianBlur(image.astype(np.float32), (0, 0), s) for s in (_FINE_PX, _COARSE_PX))
     raised = next(smooth) - next(smooth)
+    # smoothing leaves 1/(2√π σ) of white noise
     least = max(_NOISES * noise / (2.0 * math.sqrt(math.pi) * _FINE_PX), _LEVELS * white)
     if amplitude_min is not None:
+        # of a dot's top smoothing leaves half and more
         least = 0.5 * amplitude_min
+    # the highest of 5 × 5 pixels
     row, column = np.nonzero((raised > least) & (raised == cv2.dilate(raised, np.ones((5, 5), np.uint8))))
     top = raised[row, column]
     x, y = column.astype(np.float64), row.astype(np.float64)
     for place, at, size, down, right in ((x, column, image.shape[1], 0, 1), (y, row, image.shape[0], 1, 0)):
         inner = np.flatnonzero((at > 0) & (at < size - 1))
         before, after = (raised[row[inner] + sign * down, column[inner] + sign * right] for sign in (-1, 1))
+        # vertex of the parabola through three pixels
         bend = 2.0 * top[inner] - before - after
         place[inner] += 0.5 * (after - before) / np.maximum(bend, 1e-6)
     return np.column_stack([x, y, top]), noise
@@ -145,6 +150,7 @@ def fitted_dots(image: Floats, white: float, starts: Floats, noise: float, gain:
     # some dots tell of all how large they are, and then of the speckle
     some = np.unique(np.linspace(0, count - 1, _SIZE_SAMPLE).astype(np.int64))
     told, *_ = _fit(image, white, values[some], np.full(some.size, _FIRST_RADIUS_PX), given, _ROUNDS)
+    # variance of a round dot, from both axes
     size = np.sqrt(np.nanmedian(told[:, 4] + told[:, 6]) / 2.0)
     radius = _radii(values[:, :2], float(size) if math.isfinite(size) else 1.5)
     told, _, misfit, clipped = _fit(image, white, told, radius[some], given, _ROUNDS)
@@ -179,6 +185,7 @@ def _speckle(image: Floats, values: Floats, radius: Integers, given: Floats) -> 
     over = seen - dark
     if over[0] <= 0.0:
         return 0.0, 0.0
+    # the correlation that explains the products of neighbours best
     best = int(np.abs(over[1] / over[0] - alike[:, 1] / alike[:, 0]).argmin())
     return float(over[0] / alike[best, 0]), float(_CORRELATIONS[best])
 
@@ -206,6 +213,7 @@ def _speckle_sums(
         place = np.empty((most, 2), np.int64)
         slope, own = np.empty((most, 7)), np.empty((most, 4))  # own: residual, light, m, variance
         determinant = p[4] * p[6] - p[5] * p[5]
+        # the inverse of S
         ia, ib, ic = p[6] / determinant, -p[5] / determinant, p[4] / determinant
         normal, many = np.zeros((7, 7)), 0
         for y in range(y0, y1):
@@ -302,6 +310,7 @@ def _peaks(fit: Fit, frame: Frame, width_max_px: float) -> Peaks:
     edge = (np.minimum(x[kept], columns - 1.0 - x[kept]) < reach) | (
         np.minimum(y[kept], rows - 1.0 - y[kept]) < reach
     )
+    # what fits worse than noise allows is that much less sure
     covariance = fit.covariance[kept] * np.maximum(fit.misfit[kept], 1.0)[:, None, None] ** 2
     return Peaks(
         image_size=(rows, columns),
@@ -363,6 +372,7 @@ def _fit(
         x0, x1 = max(middle_x - r, 0), min(middle_x + r + 1, columns)
         y0, y1 = max(middle_y - r, 0), min(middle_y + r + 1, rows)
         many = (x1 - x0) * (y1 - y0)
+        # too few for seven numbers and their scatter
         if many < 20:
             continue
         # number by number, pixels in a row: sums over pixels are then taken several at a time
@@ -384,6 +394,7 @@ def _fit(
                     weight[k] = 0.0
                     if (x - middle_x) ** 2 + (y - middle_y) ** 2 > (r + 0.5) ** 2:
                         continue
+                    # what is white says nothing; near the middle it clips the dot
                     if image[y, x] >= white:
                         if (x - p[0]) ** 2 + (y - p[1]) ** 2 < 2.0 * (p[4] + p[6]):
                             clipped[i] = True
@@ -393,6 +404,7 @@ def _fit(
                     shape = math.exp(-0.5 * (u * tu + v * tv))
                     m = p[2] * shape
                     light[k] = m
+                    # read noise, shot noise, speckle
                     variance = given[0] + given[1] * max(m, 0.0) + given[2] * m * m
                     weight[k] = 1.0 / variance
                     off[k] = image[y, x] - p[3] - m
@@ -409,9 +421,11 @@ def _fit(
                 change[a] = _product(weighted, off)
                 for b in range(a + 1):
                     normal[a, b] = _product(weighted, slope[b])
+                # a touch of damping
                 normal[a, a] *= 1.0 + 1e-9
             for k in range(many):
                 weighted[k] = weight[k] * off[k]
+            # seven numbers were fitted
             misfit[i] = math.sqrt(_product(weighted, off) / (used - 7))
             if settled or step == rounds:
                 break

@@ -101,6 +101,7 @@ class DotSurface(VolumeEstimator[StageOptions]):
             "model": _LEAST_STD * volume,
         }
         if scene.outlined:
+            # an outline a pixel larger, with rim, reach and size as they were found
             wider = _larger(scene, product, 1.0)
             moved = _krige(wider, best.rim_mm, best.reach, best.size).volume_mm3(wider.nodes(best.rim_mm))
             budget[OUTLINE] = abs(moved - volume) * scene.outline_std_px
@@ -168,6 +169,7 @@ class _Scene:
 
     def contour(self, rim_mm: float) -> Floats:
         """Give (contour, 2) the border where the outline is seen at the rim's height."""
+        # where the lines of sight are as high as the rim
         along = (rim_mm - self.start_mm[:, 2]) / self.way[:, 2]
         return np.asarray((self.start_mm + along[:, None] * self.way)[:, :2])
 
@@ -228,6 +230,7 @@ def _crossings(contour: Floats, y: Floats) -> tuple[Integers, Floats]:
             share = (y[k] - contour[i, 1]) / (contour[j, 1] - contour[i, 1])
             at, n = contour[i, 0] + share * (contour[j, 0] - contour[i, 0]), end[k]
             line[n] = k
+            # sorted as they are put in
             while n > first[k] and x[n - 1] > at:
                 x[n] = x[n - 1]
                 n -= 1
@@ -255,6 +258,7 @@ def _scene_of(product: Product) -> _Scene:
             hint="look at the plain-light image, and take both again; the recipe needs an outliner",
         )
     if outline is None or view is None:
+        # upright lines on the hull of the points
         hull = _hull(every_xy)
         start = np.column_stack([hull, np.zeros(len(hull))])
         return _Scene(xyz, std, start, np.tile([0.0, 0.0, 1.0], (len(hull), 1)), False, math.nan)
@@ -313,13 +317,16 @@ class _Kriged:
         """Standard deviation of the integral over fields drawn from what points and border leave open."""
         from scipy.linalg import solve_triangular
 
+        # every second node tells the spread as well, at an eighth of the time
         some = nodes[::2]
         across = _covariance(some[:, :2], self.place, self.prior)
+        # what points and border leave of the prior's covariance
         known = solve_triangular(self.factor, across.T, lower=True, check_finite=False)
         left = _covariance(some[:, :2], some[:, :2], self.prior) - known.T @ known
         own = np.einsum("ii->i", left)
         own += _ROUNDING * float(own.mean())
         drawn = np.linalg.cholesky(left)
+        # always the same draws, so that the same product gives the same number
         noise = np.random.default_rng(0).standard_normal((drawn.shape[1], _DRAWS))
         fields = self.field(some[:, :2])[:, None] + drawn @ noise
         weight = some[:, 2] * nodes[:, 2].sum() / some[:, 2].sum()
@@ -371,11 +378,13 @@ def _equations(
     place, value, noise, slope = np.empty((count, 2)), np.zeros(count), np.empty(count), 0.0
     for k in range(points):
         place[k, 0], place[k, 1] = xyz_mm[k, 0], xyz_mm[k, 1]
+        # du/dZ = 2 |Z − r|, and not less than what Z's noise makes of it near the rim
         over = xyz_mm[k, 2] - rim_mm
         steep = 2.0 * math.hypot(over, 2.0 * std_mm[k])
         value[k], noise[k] = over * abs(over), steep * std_mm[k]
         slope += math.log(steep)
     place[points:] = border
+    # the border is as sure as points usually are
     noise[points:] = median_of(noise[:points])
     prior, trend, normal = np.empty(6), np.zeros(6), np.zeros((6, 6))
     low, high = contour[0].copy(), contour[0].copy()
@@ -398,12 +407,14 @@ def _equations(
                 normal[a, b] += line[a] * line[b]
     solve(normal, trend)
     left = value - powers @ trend
+    # as large as what the quadratic leaves
     std = max(size * math.sqrt((left**2).mean()), 1e-3 * math.sqrt((value**2).mean()), 1e-6)
     prior[0], prior[1], prior[2] = middle[0], middle[1], half_mm
     prior[3], prior[4], prior[5] = _TREND * std, std, reach * math.sqrt(0.5 * abs(twice_area))
     covariance = np.empty((count, count))
     _fill(place, place, prior, covariance, True)
     for k in range(count):
+        # the points' noise, and a little more against rounding
         covariance[k, k] = (covariance[k, k] + noise[k] ** 2 + (1e-3 * std) ** 2) * (1.0 + 1e-10)
     return place, left, trend, prior, covariance, slope
 
@@ -446,6 +457,7 @@ def _fill(one: Floats, other: Floats, prior: Floats, found: Floats, half: bool) 
         x, y = (at_x - middle_x) / half_mm**2, (at_y - middle_y) / half_mm**2
         for j in range(i if half else 0, x_mm.size):
             across, down = x * (x_mm[j] - middle_x), y * (y_mm[j] - middle_y)
+            # of 1, x, y, x², xy, y² with coefficients of variance 1
             quadratic = 1.0 + across + down + across * across + across * down + down * down
             apart = scale * math.sqrt((at_x - x_mm[j]) ** 2 + (at_y - y_mm[j]) ** 2)
             line[j] = trend * quadratic + variance * _matern(apart)
@@ -493,6 +505,7 @@ def _likeliest(scene: _Scene) -> tuple[_Kriged, float]:
             tried[at] = _krige(scene, float(rims[at]))
         return tried[at].log_likelihood
 
+    # every second height first, then those beside the best
     top = max(range(0, rims.size, 2), key=likelihood)
     top = max((at for at in (top - 1, top, top + 1) if 0 <= at < rims.size), key=likelihood)
     others = [(reach, size) for reach in _REACHES for size in _SIZES if (reach, size) != _FIRST]
@@ -519,8 +532,10 @@ def _inside(contour: Floats, xy: Floats) -> Flags:
     for k in range(contour.shape[0]):
         one, other = contour[k], contour[k + 1 if k + 1 < contour.shape[0] else 0]
         if one[1] == other[1]:
+            # along a row no ray crosses it
             continue
         run = (other[0] - one[0]) / (other[1] - one[1])
+        # each crossing to the right turns outside into inside
         for n in range(found.size):
             crossed = (one[1] <= xy[n, 1]) != (other[1] <= xy[n, 1])
             found[n] ^= crossed and one[0] + (xy[n, 1] - one[1]) * run > xy[n, 0]

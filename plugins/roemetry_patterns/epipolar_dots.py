@@ -194,6 +194,7 @@ def _near_curves(xy_px: Floats, curve_px: Floats, near_px: float) -> Integers:
     count = 0
     for dot in range(xy_px.shape[0]):
         for ray in range(curve_px.shape[0]):
+            # first the box around the curve's ends
             first, last = curve_px[ray, 0], curve_px[ray, -1]
             if not (
                 min(first[0], last[0]) - near_px < xy_px[dot, 0] < max(first[0], last[0]) + near_px
@@ -205,6 +206,7 @@ def _near_curves(xy_px: Floats, curve_px: Floats, near_px: float) -> Integers:
                 one, other = curve_px[ray, node], curve_px[ray, node + 1]
                 way_x, way_y = other[0] - one[0], other[1] - one[1]
                 off_x, off_y = xy_px[dot, 0] - one[0], xy_px[dot, 1] - one[1]
+                # the nearest place of each straight part
                 share = (off_x * way_x + off_y * way_y) / max(way_x**2 + way_y**2, 1e-12)
                 share = min(max(share, 0.0), 1.0)
                 if (off_x - share * way_x) ** 2 + (off_y - share * way_y) ** 2 < near_px**2:
@@ -264,6 +266,7 @@ def _neighbours(found: Candidates, shape: tuple[int, int]) -> tuple[list[Integer
     for number, ray in enumerate(found.ray.tolist()):
         of_ray[ray].append(number)
     most = max((len(one) for one in of_ray), default=1)
+    # rows of rays with fewer candidates are filled up; the last row is that of no ray
     table = np.full((columns * lines + 1, max(most, 1)), -1)
     for ray, one in enumerate(of_ray):
         table[ray, : len(one)] = one
@@ -316,6 +319,7 @@ def _second(cost: Floats, of: Integers) -> Floats:
     first = np.ones(group.size, np.bool_)
     first[1:] = group[1:] != group[:-1]
     start = np.maximum.accumulate(np.where(first, np.arange(group.size), 0))
+    # without a label a dot costs as much as one far off, of which no neighbour knows
     nothing = _OFF_MAX**2 + 4.0 * _BROKEN
     beyond = np.minimum(start + 1, group.size - 1)
     runner_up = np.where((beyond > start) & (group[beyond] == group), value[beyond], nothing)

@@ -2,6 +2,9 @@
 
 False light lies centimetres off the points around it. Many points of a line are pooled to the middle of a
 parabola through them; what is left, at most 150, is spread evenly over all.
+
+It assumes that false light is rarer than true, and lies farther off than a flank is high. It fails where
+false points stand together, more of them than true ones around.
 """
 
 from __future__ import annotations
@@ -74,6 +77,7 @@ def points_of(profiles: Profiles, number: int, lines_min: int) -> tuple[Floats, 
     std = profiles.height_std_mm[place[:, 0], place[:, 1]]
     if len(xyz) < _POINTS_MIN:
         raise StageError(f"{len(xyz)} points lie on the product, {_POINTS_MIN} are the least")
+    # points stand slice by slice
     lines = np.count_nonzero(np.diff(place[:, 0], prepend=-1))
     if lines < lines_min:
         low, high = xyz.min(axis=0), xyz.max(axis=0)
@@ -137,6 +141,7 @@ def _nearest(xyz_mm: Floats, kept: Flags, i: int, which: Integers) -> float:
     far = np.full(_AROUND, np.inf)
     for j in range(xyz_mm.shape[0]):
         apart = (xyz_mm[i, 0] - xyz_mm[j, 0]) ** 2 + (xyz_mm[i, 1] - xyz_mm[j, 1]) ** 2
+        # kept in the order of distance
         if apart >= far[-1] or j == i or not kept[j]:
             continue
         at = _AROUND - 1
@@ -160,6 +165,7 @@ def _off_quadratic(xyz_mm: Floats, i: int, which: Integers, apart_mm: float) -> 
             for b in range(a + 1):
                 normal[a, b] += powers[a] * powers[b]
     solve(normal, right)
+    # heights are counted from the point's own: the quadratic's first number is its distance
     return abs(right[0])
 
 

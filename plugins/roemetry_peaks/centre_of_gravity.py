@@ -120,14 +120,17 @@ def centres_of_gravity(
                     continue
                 reach, follows = seen, _follows(least)
         total = 0.0
+        # each pass around the centre of the one before
         for _ in range(_PASSES):
             total = moment = 0.0
             begin, end = centre - reach, centre + reach
             for x in range(max(lo, int(np.floor(begin + 0.5))), min(hi, int(np.floor(end + 0.5))) + 1):
+                # pixels that the window cuts count by what lies within
                 inside = min(1.0, min(x + 0.5 - begin, end - x + 0.5))
                 level = inside * (levels[begins + x] - background - slope * (x - middle))
                 total += level
                 moment += level * (x - centre)
+            # the window holds the centre back by what it follows of its shift
             centre += moment / max(total, 1e-9) / (1.0 - follows)
         x_px[i] = np.nan
         if not total > 0.0 or not abs(centre - middle) < 0.5 * widths[i]:
@@ -135,6 +138,7 @@ def centres_of_gravity(
         begin, end = centre - reach, centre + reach
         first = max(lo, int(np.floor(begin + 0.5)))
         count = min(min(hi, int(np.floor(end + 0.5))) + 1 - first, PIXELS_MAX)
+        # pull: by how much a grey level moves the centre
         unit = 1.0 / (total * (1.0 - follows))
         second = 0.0
         for k in range(count):

@@ -112,6 +112,7 @@ def _slopes(piece: Integers, x_px: Floats) -> tuple[Floats, Floats, Integers]:
     # of a piece's ends the bend is that of the nearest place with rows on both sides
     middle = np.clip(here, np.minimum(first + _HALF_ROWS, last), np.maximum(last - _HALF_ROWS, first))
     reach = np.minimum(_HALF_ROWS, np.minimum(middle - first, last - middle))
+    # second differences over up to four rows
     curved = x[middle + reach] - 2.0 * x[middle] + x[middle - reach]
     bend[order] = curved / np.maximum(reach, 1) ** 2
     return np.nan_to_num(slope, nan=np.inf), bend, count[piece]

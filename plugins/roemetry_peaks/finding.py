@@ -8,6 +8,9 @@ Overexposed stripes that leave the image sideways are followed by the flank that
 stripe's top is cut off at white and its outer flank has left the image, the row does not fall any more
 before its last pixel, and no top is found. But the inner flank goes on from row to row, and the stripe's
 width is known from the rows before.
+
+It assumes that each row crosses a stripe steeply enough to be a profile of it. It fails where stripes run
+along rows, and where they are nearer to each other than their width.
 """
 
 from __future__ import annotations
@@ -102,6 +105,7 @@ def found(
     x_px, x_std_px = np.empty((2, stripes.row.shape[0]))
     levels, columns = pixels.reshape(-1), pixels.shape[1]
     noise = noise_of(frame, options)
+    # without a sensor nothing is stated: then only centres that weigh by it need a contrast
     sought = weighs_speckle or frame.sensor is not None
     contrast2 = contrasts_of(frame, options, stripes, noise, sought=sought)
     speckled = contrast2.shape[0] > 1 or contrast2[0] > 0.0
@@ -309,6 +313,7 @@ def stripes_leaving_image(
                 while p >= 0 and whole < _WHOLE and found < _BACK:
                     flanks[min(found, _ROWS)] = s.middle[p] - side * 0.5 * s.width[p]
                     found += 1
+                    # whole: the border lies beyond half of its width
                     if (border - s.middle[p]) * side > 0.5 * s.width[p]:
                         known[whole] = s.width[p]
                         whole += 1
@@ -317,6 +322,7 @@ def stripes_leaving_image(
                     continue
                 at, lean, scatter2 = _line_through(flanks[: min(found, _ROWS)])
                 width = float(np.mean(known[:whole]))
+                # variance of the flank about its line, and of half the width
                 std = np.sqrt(scatter2 + 0.25 * np.var(known[:whole]))
                 near = max(_GOES_ON * width, _GOES_ON_PX)
                 half = s.background[i] + 0.5 * s.amplitude[i]
@@ -326,6 +332,7 @@ def stripes_leaving_image(
                     off = seen - at - lean
                     middle = seen + side * 0.5 * width
                     beyond = (middle - border) * side
+                    # until the middle leaves the image, or the flank is lost
                     if not (abs(off) < near and -0.5 * width - near <= beyond <= 0.5):
                         break
                     row, edge = r - area.top, 1 if side > 0 else 0
@@ -334,6 +341,7 @@ def stripes_leaving_image(
                         whose[count], rows[count] = i, r
                         middles[count], stds[count], widths[count] = middle, std, width
                         count += 1
+                    # an alpha-beta filter: place and lean follow by fixed shares
                     at, lean = at + lean + _TURNS * off, lean + _BENDS * off
                     r += way
     return whose[:count], rows[:count], middles[:count], stds[:count], widths[:count]
@@ -347,6 +355,7 @@ def _line_through(flanks: Floats) -> tuple[float, float, float]:
     for k in range(count):
         moment += (k - middle) * flanks[k]
         spread += (k - middle) * (k - middle)
+    # towards the row before, against the order of the places
     lean = -moment / spread
     rest = 0.0
     for k in range(count):

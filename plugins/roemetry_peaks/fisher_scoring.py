@@ -279,6 +279,7 @@ def steps(lanes: Floats, enough: float, shift_max: float, sigma_min: float, sigm
         c00, c01, c02 = n11 * n22 - n12 * n12, n02 * n12 - n01 * n22, n01 * n12 - n02 * n11
         c11, c12, c22 = n00 * n22 - n02 * n02, n01 * n02 - n00 * n12, n00 * n11 - n01 * n01
         det = n00 * c00 + n01 * c01 + n02 * c02
+        # as good as singular: not solved
         solved = det > 1e-9 * n00 * n11 * n22
         one = 1.0 / (det if solved else 1.0)
         a, s = lanes[A + lane], lanes[S + lane]
@@ -293,11 +294,13 @@ def steps(lanes: Floats, enough: float, shift_max: float, sigma_min: float, sigm
         lanes[H0 + lane] = c00 * one if good > 0.0 else lanes[H0 + lane]
         lanes[H1 + lane] = c01 * one if good > 0.0 else lanes[H1 + lane]
         lanes[H2 + lane] = c02 * one if good > 0.0 else lanes[H2 + lane]
+        # 0.7 σ a step at most: farther the model is not linear
         x = lanes[X + lane] + min(max(dx, -0.7 * s), 0.7 * s)
         # exp(ds) to 1e-6 of 1.
         ds = min(max(ds, -0.4), 0.4)
         s *= 1.0 + ds * (1.0 + ds * (0.5 + ds * (_E3 + ds * (_E4 + ds * (_E5 + ds * _E6)))))
         lanes[X + lane], lanes[S + lane] = x, s
+        # the height changes by factors of 0.4 to 2.5 at most
         lanes[A + lane] = min(max(a + da, 0.4 * a), 2.5 * a)
         near = abs(x - lanes[START_X + lane]) <= shift_max * max(lanes[START_S + lane], 1.0)
         near &= (s >= sigma_min) & (s <= sigma_max)
@@ -318,6 +321,7 @@ def centre_variance(lanes: Floats, used: Floats, n: int, gain: float, rho: float
     for field in (M, IV, U, E, MU, P1, P2, P3, P4, SPREAD, SPECKLE, LEFT, RIGHT):
         for lane in range(LANES):
             lanes[field + lane] = 0.0
+    # a Gaussian correlation: ρ to the square of the lag
     r2, r3, r4 = rho**4, rho**9, rho**16
     # One more than there are pixels: a pixel's influence is known once the next one's is.
     for i in range(n + 1):

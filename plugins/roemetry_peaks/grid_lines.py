@@ -188,6 +188,7 @@ def _neighbour(row: Integers, x_px: Floats) -> Integers:
     """Give (peak,) the nearest peak in the next row, of peaks sorted by row and x; −1 where none is near."""
     if row.size == 0:
         return np.empty(0, np.int64)
+    # rows one after the other on one axis, each longer than the image is wide
     wide = float(x_px.max()) + 10.0 * _STEP_PX
     key = row * wide + x_px
     at = np.searchsorted(key, key + wide)
@@ -199,6 +200,7 @@ def _neighbour(row: Integers, x_px: Floats) -> Integers:
 
 def _apart(row: Integers, x_px: Floats, other_row: Integers, other_px: Floats) -> Floats:
     """Give how far the nearest of other places in the same row is; more than the image is wide of none."""
+    # as in `_neighbour`: each row has its own stretch of one axis
     wide = 2.0 * max(float(x_px.max(initial=0.0)), float(other_px.max(initial=0.0))) + 1.0
     key, others = row * wide + x_px, np.sort(np.concatenate([[-np.inf, np.inf], other_row * wide + other_px]))
     at = np.searchsorted(others, key)
@@ -218,6 +220,7 @@ def _hidden(row: Integers, numbers: Floats, ahead: Integers) -> tuple[Integers, 
             behind[ahead[k]] = k
     least, partner = np.full(count, np.inf), np.full(count, -1)
     for end in range(count):
+        # ends of lines alone
         if ahead[end] >= 0 or behind[end] < 0:
             continue
         before = _slope(row, numbers, behind, end)
@@ -225,6 +228,7 @@ def _hidden(row: Integers, numbers: Floats, ahead: Integers) -> tuple[Integers, 
             far = row[begin] - row[end]
             if far > _GAP_ROWS:
                 break
+            # beginnings of lines alone
             if far < 2 or behind[begin] >= 0 or ahead[begin] < 0:
                 continue
             slope = (numbers[begin, 0] - numbers[end, 0]) / far
@@ -236,6 +240,7 @@ def _hidden(row: Integers, numbers: Floats, ahead: Integers) -> tuple[Integers, 
     between = 0
     for end in range(count):
         begin = partner[end]
+        # each is the other's best
         if begin > end and least[end] < _SLOPE_OFF and partner[begin] == end:
             between += row[begin] - row[end] - 1
     rows, found, n = np.empty(between, np.int64), np.empty((between, 3)), 0
@@ -243,6 +248,7 @@ def _hidden(row: Integers, numbers: Floats, ahead: Integers) -> tuple[Integers, 
         begin = partner[end]
         if begin > end and least[end] < _SLOPE_OFF and partner[begin] == end:
             far = row[begin] - row[end]
+            # place, height and size change evenly across the gap
             for step in range(1, far):
                 rows[n] = row[end] + step
                 for k in range(3):

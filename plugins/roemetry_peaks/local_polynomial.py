@@ -123,8 +123,10 @@ def _scatter_px(x_px: Floats) -> float:
 def _reach(before: Floats, after: Floats, length: float) -> float:
     """Correlation afterwards, rows: smoothing keeps the sum of the autocovariance and lowers the variance."""
     rows = np.arange(1, 1 + int(8 * length + 1))
+    # sum of the autocorrelation along the stripe
     own = 1.0 + 2.0 * float(np.exp(-(rows**2) / (4.0 * length**2)).sum()) if length > 0.0 else 1.0
     left = float(np.median(after**2 / before**2))
+    # for a Gaussian correlation that sum is 2√π times the length
     return max(own / left / (2.0 * math.sqrt(math.pi)), length) if left < 1.0 else length
 
 
@@ -159,6 +161,7 @@ def smoothed_run(points: Points, rows: int) -> tuple[Floats, Floats, int]:
     begin = np.zeros(n, np.int64)  # where the piece between steps that a point lies in begins, and ends
     end = np.full(n, n, np.int64)
     steps = 0
+    # the most certain step divides its piece; then the next one is looked for
     for _ in range(n):
         at = highest_step(points, begin, end)
         if at < 0:
@@ -180,8 +183,10 @@ def smoothed_run(points: Points, rows: int) -> tuple[Floats, Floats, int]:
                 low, high = nearest(row, begin[i], end[i], i, 2 * rows - 1)
             if not _weights(points, i, first, last, low, high, way == 0, weights, other):
                 continue
+            # what does not fit is tried in the next, more pliant way
             if way < 2 and _misfit(points, i, first, last, low, high, way == 0, other):
                 continue
+            # a point that was left out and fits in no way stays as it is
             if way == 2 and not points.use[i]:
                 continue
             value = 0.0
@@ -213,9 +218,11 @@ def _weights(
         return functional(points, row[i], first, last, 3, -1, 0, weights)
     if not functional(points, row[i], first, last, 2, -1, 0, weights):
         return False
+    # what a bend of 1 would do to the line's value here
     bent = 0.0
     for j in range(first, last):
         bent += weights[j] * (row[j] - row[i]) ** 2
+    # the bend is that of the wider window
     if high - low > 2 * _FEW and functional(points, row[i], low, high, 3, -1, 2, other):
         for j in range(low, high):
             weights[j] -= bent * other[j]
@@ -270,6 +277,7 @@ def highest_step(points: Points, begin: Integers, end: Integers) -> int:
             continue
         # As many on either side: so a bend, which is even, is not taken for a step, which is odd.
         first, last = i - few, i + few
+        # a cubic, where there are enough rows; else a line
         powers = 4 if few > _FEW_AT_BREAK + 1 else 2
         if not functional(points, row[i], first, last, powers, i, powers, weights):
             continue
@@ -299,6 +307,7 @@ def leave_outliers_out(points: Points) -> None:
         first, last = nearest(row, 0, n, i, 2 * _STEP_REACH + 1)
         if last - first < 2 * _FEW_AT_BREAK + 2:
             continue
+        # the point itself does not help to foretell it
         use[i] = False
         if functional(points, row[i], first, last, 4, -1, 0, weights):
             foretold = 0.0
@@ -336,6 +345,7 @@ def nearest(row: Floats, begin: int, end: int, i: int, rows: int) -> tuple[int, 
     """Points of a window of `rows` rows around point i, moved inwards at the ends of its piece."""
     half = rows // 2
     top, bottom = row[i] - half, row[i] + half
+    # at an end the window moves inwards and keeps its length
     if top < row[begin]:
         bottom += row[begin] - top
         top = row[begin]
@@ -367,6 +377,7 @@ def functional(
     """
     row, std_px, use = points.row, points.std_px, points.use
     size = powers + (1 if step_at >= 0 else 0)
+    # in shares of the window, so that all powers are of like size
     scale = max(abs(row[first] - centre), abs(row[last - 1] - centre), 1.0)
     normal = np.zeros((5, 6))
     basis = np.empty(5)
@@ -383,12 +394,14 @@ def functional(
                 normal[k, m] += w * basis[k] * basis[m]
     if count < size:
         return False
+    # one row of the inverse by Gauss and Jordan's elimination, with pivots
     normal[which, 5] = 1.0
     for k in range(size):
         pivot = k
         for m in range(k + 1, size):
             if abs(normal[m, k]) > abs(normal[pivot, k]):
                 pivot = m
+        # as good as singular
         if abs(normal[pivot, k]) < 1e-10 * abs(normal[0, 0]) or normal[pivot, k] == 0.0:
             return False
         for m in range(6):
@@ -398,6 +411,7 @@ def functional(
                 factor = normal[m, k] / normal[k, k]
                 for c in range(k, 6):
                     normal[m, c] -= factor * normal[k, c]
+    # back from shares of the window to rows
     unit = scale ** (-which) if which < powers else 1.0
     for j in range(first, last):
         if use[j]:
@@ -431,6 +445,7 @@ def variance_of(points: Points, weights: Floats, low: int, high: int, length: fl
             continue
         for k in range(j + 1, high):
             off = row[k] - row[j]
+            # beyond, less than e^(−4) is left of the correlation
             if off > _CORRELATED * length + 1.0:
                 break
             total += 2.0 * own * weights[k] * std_px[k] * math.exp(-off * off / (4.0 * length * length))
@@ -453,4 +468,5 @@ def too_much(points: Points, centre: float, first: int, last: int, coefficients:
             squares += (off / std_px[j]) ** 2
             count += 1
     free = max(count - coefficients.shape[0] + 1, 1)
+    # n squares of normal deviates have mean n and variance 2 n
     return squares > free + _MISFIT_STDS * math.sqrt(2.0 * free)

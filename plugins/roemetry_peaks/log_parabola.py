@@ -120,6 +120,7 @@ def log_parabola_centres(
         copied(his, start, lanes, v, _HI)
         if contrast2.shape[0] > 1:
             copied(contrast2, start, lanes, v, _CONTRAST2)
+        # the pixel nearest to the middle
         for k in range(LANES):
             v[_AT + k] = np.floor(v[_MIDDLE + k] + 0.5)
         if half == 1:
@@ -180,6 +181,7 @@ def _tops(v: Floats, by_1: Floats, by_2: Floats, reach_px: float) -> None:
     """Find the parabolas' tops; where there is none near by, the middle."""
     for j in range(5):
         for k in range(LANES):
+            # the background's line at the pixel
             line = v[_BACKGROUND + k] + v[_SLOPE + k] * (v[_AT + k] + (j - 2.0) - v[_MIDDLE + k])
             v[_LOG + j * LANES + k] = max(v[_LEVEL + j * LANES + k] - line, _DARKEST)
     logarithms(v, _LOG, _INVERSE, 5 * LANES)
@@ -190,6 +192,7 @@ def _tops(v: Floats, by_1: Floats, by_2: Floats, reach_px: float) -> None:
         l3, l4 = v[_LOG + 3 * LANES + k], v[_LOG + 4 * LANES + k]
         c1 = b0 * l0 + b1 * l1 + b2 * l2 + b3 * l3 + b4 * l4
         c2 = d0 * l0 + d1 * l1 + d2 * l2 + d3 * l3 + d4 * l4
+        # a top within reach of the middle pixel
         good = (v[_USABLE + k] > 0.0) & (c2 < 0.0) & (abs(c1) < -2.0 * c2 * reach_px)
         v[_USABLE + k] = 1.0 if good else 0.0
         v[_X + k] = v[_AT + k] - 0.5 * c1 / c2 if good else v[_MIDDLE + k]
@@ -227,6 +230,7 @@ def _uncertainties(v: Floats, by_1: Floats, by_2: Floats, alike: Floats, noise: 
         together += a2 * (r0 * r2 + r1 * r3 + r2 * r4) + a3 * (r0 * r3 + r1 * r4) + a4 * r0 * r4
         background = dark + gain * v[_BACKGROUND + k]
         variance += v[_CONTRAST2 + k] * together + lean * lean * v[_UNSURE + k] * background
+        # bounded: it is one of few pixels at any rate
         of_top = variance / (1.0 + variance / (_BELIEVED_PX * _BELIEVED_PX))
         of_middle = variance_of_middle(
             v[_WIDTH + k], v[_AMPLITUDE + k], v[_BACKGROUND + k], noise, v[_CONTRAST2 + k]

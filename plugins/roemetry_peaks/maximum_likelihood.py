@@ -153,7 +153,7 @@ class MaximumLikelihood(Extractor[MaximumLikelihoodOptions]):
         core = middles_of_flanks(fit, image, white, found)
         undo_scattering(fit, image, white, found, ~core)
         kept = self._kept(fit, found, noise, white)
-        order: Any = slice(None) if kept.all() else np.flatnonzero(kept)
+        order: Any = slice(None) if kept.all() else np.flatnonzero(kept)  # a slice copies nothing
         if not _apart(at.row[order], fit.x_px[order], fit.sigma_px[order]).all():
             order = np.flatnonzero(kept)
             order = order[np.lexsort((fit.x_px[order], at.row[order]))]
@@ -695,5 +695,5 @@ def flank_shift(
         over, squares = sums[p, 0], sums[p, 2]
         # Of a surface that speckle alone takes for tissue, the sum is chance.
         if asked[p] and over * over > _CERTAIN * _CERTAIN * squares:
-            shift[p] = over / sums[p, 1] * (1.0 - squares / (over * over))
+            shift[p] = over / sums[p, 1] * (1.0 - squares / (over * over))  # shrunk by the share of chance
     return shift

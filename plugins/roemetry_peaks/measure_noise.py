@@ -77,6 +77,7 @@ def measured(frames: Sequence[Frame], options: MaximumLikelihoodOptions) -> dict
     first = seen[0][1]
     noise: StripeNoise = estimated_noise(seen[0][0], seen[0][2], first)
     peaks = 0
+    # twice, since residuals are weighed by the noise
     for _ in range(2):
         parts = [products_of(image, white, found, noise, _PEAKS) for image, found, white in seen]
         products, tile, contrast2 = (np.concatenate(part) for part in zip(*parts, strict=True))

@@ -11,6 +11,8 @@ to 1.1 ms for 3 Mpix.
 
 Here, too, stands what is asked of stripes once they are measured (`peak_window`): which are none, and which
 have one flank in glare.
+
+It fails for a stripe at the border that does not fall by the threshold on both sides.
 """
 
 from __future__ import annotations
@@ -80,11 +82,11 @@ def _as_words(image: Pixels, area: Area) -> tuple[Words, int, int]:
         if words.flags.aligned:
             return words, area.top, area.left * size // WORD
     part = image[area.top : area.bottom, area.left : area.right]
-    whole = -(-part.shape[1] * size // WORD) * WORD // size
+    whole = -(-part.shape[1] * size // WORD) * WORD // size  # rounded up to whole words
     padded = np.zeros((part.shape[0], whole), image.dtype)
     padded[:, : part.shape[1]] = part
     words = padded.view(np.uint64)
-    words.flags.writeable = False
+    words.flags.writeable = False  # as the image is: one type for the compiler
     return words, 0, 0
 
 
@@ -190,11 +192,12 @@ def _scan_made(kind: type[np.unsignedinteger[Any]]) -> Any:
                         twice = np.uint64(0)
                         for j in range(one_tile):
                             filled = (((of_lane[j] & low_bits) + low_bits) | of_lane[j]) & high_bits
-                            twice |= filled & (filled - one)
+                            twice |= filled & (filled - one)  # two bits or more
                         # Written whether or not it ended: a branch would be guessed wrong half of the time.
                         if twice == 0:
                             for j in range(one_tile):
                                 k: Any = w * one_tile + j
+                                # the sum of all pixels, of which at most one is not 0
                                 top_at = np.int64((of_lane[j] * units) >> last_pixel)
                                 lane[found] = k
                                 tops[found] = left + x + top_at - 2 if top_at > 1 else top_before[k]
@@ -400,6 +403,7 @@ def turn_tile_of_pairs(words: Words, first: int, apart: int, turned: Words) -> N
 def _exchanged_bytes(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: Any) -> Any:
     s4, s2, s1 = np.uint64(32), np.uint64(16), np.uint64(8)
     m4, m2, m1 = np.uint64(0xFFFFFFFF), np.uint64(0xFFFF0000FFFF), np.uint64(0xFF00FF00FF00FF)
+    # blocks off the diagonal change places by three exclusive ors each
     t0, t1 = ((a0 >> s4) ^ a4) & m4, ((a1 >> s4) ^ a5) & m4
     t2, t3 = ((a2 >> s4) ^ a6) & m4, ((a3 >> s4) ^ a7) & m4
     a0, a1, a2, a3 = a0 ^ (t0 << s4), a1 ^ (t1 << s4), a2 ^ (t2 << s4), a3 ^ (t3 << s4)
@@ -474,7 +478,7 @@ def _steps_made(kind: type[np.unsignedinteger[Any]]) -> Callable[..., None]:
                 for j in range(_TOGETHER):
                     here, at = kind(x + 2 + j), begin + np.uint64(j * LANES) + k
                     level = kind(levels[at] ^ mode)
-                    lowered = kind(max(level, enough) - enough)
+                    lowered = kind(max(level, enough) - enough)  # not below 0
                     turns = full if lowered > lowest else none
                     ended[at] = turns & mode & lies
                     lies = here if lowered > lowest or level < lowest else lies

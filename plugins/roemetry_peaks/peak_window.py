@@ -8,6 +8,8 @@ both sides, from 3.6 standard deviations outwards.
 
 Where the image's border cuts a side off, the other side tells background and width; of a top cut off at
 white as well, a pixel on one flank is matched with its like on the other.
+
+It fails where stripes stand so near to each other that the valley between is shallow: they are one then.
 """
 
 from __future__ import annotations
@@ -154,12 +156,15 @@ def _crossings(levels: Pixels, level: float, first: int, last: int, lo: int, hi:
 
     Where they do not within `lo` … `hi`, the crossing is put there.
     """
+    # grey levels are whole: not below the level is not below its ceiling
     whole, from_at, to_at = int(np.ceil(level)), np.uint64(first), np.uint64(last)
     lowest, highest = np.uint64(lo), np.uint64(hi)
+    # inwards from the ends of the top to what is not below the level
     while levels[from_at] < whole and from_at < to_at:
         from_at += _ONE
     while levels[to_at] < whole and to_at > from_at:
         to_at -= _ONE
+    # outwards to the first pixel below; the crossing lies before it
     x = from_at
     while x > lowest and levels[x] >= whole:
         x -= _ONE
@@ -181,6 +186,7 @@ def _cut_off(levels: Pixels, half: float, begin: int, end: int, lo: int, hi: int
     from_px, to_px = _crossings(levels, half, begin, end, lo, hi)
     top = 0.5 * (begin + end)
     seen = top - lo if side < 0 else hi - top
+    # a stripe is as wide on the side that is not seen
     wide = to_px - top if side < 0 else top - from_px
     return seen < _FEET_FROM * 2.0 * wide / FWHM_OF_SIGMA
 
@@ -216,9 +222,11 @@ def _measure(
     for i in range(count):
         if not done[i]:
             follows, leads = i > 0 and row[i - 1] == row[i], i + 1 < count and row[i + 1] == row[i]
+            # halfway to the tops beside it in the row
             places[0, i] = (last[i - 1] + first[i] + 1) // 2 if follows else left
             places[1, i] = (last[i] + first[i + 1]) // 2 if leads else right - 1
     _measure_rest(rows, tops, found)
+    # limits are looked for anew only where one is unfit
     unfit = unfit_stripes(row, limits, values)
     changed = limits_out_of_light(rows, tops, unfit, found)
     if changed:
@@ -282,12 +290,14 @@ def _measured(
     if at_left or at_right:
         cut_left = at_left & _cut_off(levels, 0.5 * (high + low_right), begin, end, lo, hi, -1)
         cut_right = at_right & _cut_off(levels, 0.5 * (high + low_left), begin, end, lo, hi, 1)
+        # the side that is cut off knows no background
         if cut_left != cut_right:
             base = float(low_right if cut_left else low_left)
     half = 0.5 * (high + base)
     from_px, to_px = _crossings(levels, half, begin, end, lo, hi)
     ends_left = at_left and from_px <= lo and levels[lo] >= half
     ends_right = at_right and to_px >= hi and levels[hi] >= half
+    # of one flank alone the border shows nothing: the other is mirrored at the top
     if ends_left != ends_right:
         top = 0.5 * (begin + end)
         if high >= white and ends_left and begin > lo:
@@ -295,6 +305,7 @@ def _measured(
         elif high >= white and ends_right and end < hi:
             top = mirrored(levels, min(hi, end + 2), begin, end, float(low_left), lo)
         elif begin == end and lo < begin < hi:
+            # vertex of the parabola through three pixels
             before, after = float(levels[begin - 1]), float(levels[begin + 1])
             top += 0.5 * (after - before) / max(2.0 * high - before - after, 1.0)
         if ends_left:
@@ -303,6 +314,7 @@ def _measured(
             to_px = 2.0 * top - from_px
     middle, width = 0.5 * (from_px + to_px), to_px - from_px
     reach = _FEET_FROM * width / FWHM_OF_SIGMA
+    # what is brighter in the feet than a quarter of the height counts as that
     cap = base + _FEET_SHARE_MAX * (high - base)
     inner_left = min(max(int(middle - reach) + 1, lo), begin)
     inner_right = max(min(int(middle + reach) + 1, hi + 1), end + 1)
@@ -314,10 +326,12 @@ def _measured(
     pixels_left, pixels_right = inner_left - outer_left, outer_right - inner_right
     slope = unsure = 0.0
     if pixels_left > 0 and pixels_right > 0:
+        # a line through the means of both feet
         left_px = 0.5 * (outer_left + inner_left - 1)
         apart = 0.5 * (inner_right + outer_right - 1) - left_px
         slope = (level_right - level_left) / apart
         background = level_left + slope * (middle - left_px)
+        # variance of the difference of two means, over their distance squared
         unsure = (1.0 / pixels_left + 1.0 / pixels_right) / (apart * apart)
     elif pixels_left > 0:
         background = level_left
@@ -394,6 +408,7 @@ def _may_be_one_or_none(rows: Rows, tops: Tops, looked_at: NDArray[np.uint8]) ->
             continue
         beside = max(np.int64(levels[from_at - _ONE]), np.int64(levels[to_at + _ONE]))
         near = min(np.int64(levels[from_at - _NEAR]), np.int64(levels[to_at + _NEAR]))
+        # both neighbours lie below half of the top
         spike = 2 * (high - beside) >= high - near
         same = before_row == here
         middle = np.uint64(here * columns + ((before_last + begin) >> 1 if same else begin))
@@ -421,6 +436,7 @@ def _spike_width(levels: Pixels, first: int, last: int, left: int, right: int) -
     half = 0.5 * (high - float(_base(levels, first, last, left, right)))
     if before < half or after < half:
         return np.inf
+    # on straight flanks half height lies half/fall beside the top
     return half / before + half / after + (last - first)
 
 
@@ -462,6 +478,7 @@ def lowest_before(levels: Pixels, begin: int, end: int) -> int:
     while x - _BLOCK >= begin:
         x -= _BLOCK
         found = _lowest_of_block(levels, x)
+        # a block darker by less than an eighth of the height ends the search
         if found + _DARKER * (int(levels[end]) - found) >= low and x + _BLOCK < end:
             return min(low, found)
         low = min(low, found)
@@ -581,6 +598,7 @@ def mirrored(levels: Pixels, outer: int, first: int, last: int, base: float, end
     bend = min(near - 2.0 * next_ + far, 0.0)
     slope = next_ - near - 0.5 * bend
     step = 0.0
+    # Newton's steps; the slope stays negative, on this side of the top
     for _ in range(4):
         step -= (near + slope * step + 0.5 * bend * step * step - wanted) / min(slope + bend * step, -0.05)
         step = min(max(step, -1.0), 3.0)

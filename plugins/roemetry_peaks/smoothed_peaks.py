@@ -13,6 +13,9 @@ w² = 8 σ² ln(a / level) at a level; so two levels give σ², and a second pai
 (of clipped tops the height is not known, but cancels). Both are one number for a Gaussian, cut off or not.
 Summed over the rows next to each row, σ²_low is 0.7 to 1.35 σ²_high under speckle of contrast up to 0.25,
 and 2 to 10 times it in halos. Where it is more than 1.5 times, the chord high up is where the stripe is.
+
+It assumes that a stripe moves by less than 3 px from row to row. It fails where stripes are nearer to each
+other than the smoothing is wide.
 """
 
 from __future__ import annotations
@@ -117,6 +120,7 @@ def _block_squares(image: Pixels, step: int) -> Floats:
         for b in range(blocks):
             total = 0.0
             for x in range(1 + b * _BLOCK_PX, 1 + (b + 1) * _BLOCK_PX):
+                # second differences across in three rows, then of these down the rows
                 top = np.float64(image[y - 1, x - 1]) - 2.0 * image[y - 1, x] + image[y - 1, x + 1]
                 here = np.float64(image[y, x - 1]) - 2.0 * image[y, x] + image[y, x + 1]
                 below = np.float64(image[y + 1, x - 1]) - 2.0 * image[y + 1, x] + image[y + 1, x + 1]
@@ -206,6 +210,7 @@ def _tops(smooth: NDArray[np.int32], rise: Floats, white: float, tops: Integers,
         if x >= columns:
             break
         top, high = x, here
+        # a peak ends where it has fallen by the threshold and by what separates two
         least = math.ceil(high - max(enough, _SEPARATE * (high - low)))
         while x < columns:
             here = int(smooth[x])
@@ -254,9 +259,11 @@ def _halves(
     smooth: NDArray[np.int32], top: int, before: int, after: int, white: float, shape: Floats
 ) -> None:
     """Fill in, from where the flanks cross some levels, the fields of `Starts` but for the row."""
+    # halfway between the two valleys
     base = 0.5 * (smooth[before] + smooth[after])
     height = smooth[top] - base
     left, right = _crossings(smooth, top, before, after, 0.5)
+    # the width at half height gives the variance; the smoothing's is taken off
     variance = (right - left) ** 2 / _LN_HALF - SMOOTHING_VARIANCE_PX2
     if smooth[top] >= 0.97 * _WEIGHTS * white:
         # A clipped top: width and height from the widths at two levels of what is left.
@@ -264,8 +271,10 @@ def _halves(
         high_left, high_right = _crossings(smooth, top, before, after, 0.7)
         up_left, up_right = _crossings(smooth, top, before, after, 0.85)
         top_left, top_right = _crossings(smooth, top, before, after, 0.9)
+        # of a clipped top the height is not known: two widths below it
         wide, narrow = (low_right - low_left) ** 2, (high_right - high_left) ** 2
         spread = max((wide - narrow) / _LN_CLIPPED, 0.3)
+        # a = level × exp(w²/8σ²), at most by e⁴
         height *= 0.25 * math.exp(min(wide / (8.0 * spread), 4.0))
         left, right = 0.5 * (left + low_left), 0.5 * (right + low_right)
         variance = spread - SMOOTHING_VARIANCE_PX2
@@ -277,6 +286,7 @@ def _halves(
         low_left, low_right = _crossings(smooth, top, before, after, 0.6)
         shape[7] = _FLANK * (top_left - low_left + low_right - top_right)
     variance = max(variance, 0.25)
+    # smoothing lowered it by σ/√(σ² + s²)
     height *= math.sqrt((variance + SMOOTHING_VARIANCE_PX2) / variance)
     shape[0], shape[1], shape[2] = 0.5 * (left + right), height / _WEIGHTS, math.sqrt(variance)
     shape[3], shape[4], shape[5] = base / _WEIGHTS, 0.5 * (top_left + top_right), top_right - top_left
@@ -344,6 +354,7 @@ def light_beside(image: Pixels, starts: Starts, noise: float, gain: float) -> Be
     shape = np.empty((peaks, 4))
     for p in range(peaks):
         sigma_px = starts.sigma_px[p]
+        # height times width, so that the light of the rows adds up
         shape[p, 0], shape[p, 1], shape[p, 2] = 1.0, sigma_px**2, starts.amplitude[p] * sigma_px
         shape[p, 3] = starts.core2_px2[p]
     shape = pooled(shape, up, down, _REACH, _REACH)
@@ -382,6 +393,7 @@ def neighbours(row: Integers, x_px: Floats) -> tuple[Integers, Integers]:
     down = np.full(peaks, -1, np.int64)
     q = 0
     for p in range(peaks):
+        # the first peak of the next row that is not left of this one
         while q < peaks and (row[q] < row[p] + 1 or (row[q] == row[p] + 1 and x_px[q] < x_px[p])):
             q += 1
         best, off = -1, _STEP_PX
@@ -390,6 +402,7 @@ def neighbours(row: Integers, x_px: Floats) -> tuple[Integers, Integers]:
                 best, off = other, abs(x_px[other] - x_px[p])
         if best < 0:
             continue
+        # of two that want the same the nearer one keeps it
         if up[best] < 0:
             up[best], down[p] = p, best
         elif abs(x_px[up[best]] - x_px[best]) > off:
@@ -448,8 +461,10 @@ def _side_sums(
             if 0 <= q < peaks and row[q] == row[p]:
                 gap = abs(x_px[q] - x_px[p])
                 free = gap - _CLEAR * sigma_px[q] - 0.5
+                # too near: the three pixels in the middle of the valley
                 if free < inner + 3.0:
                     crowded = True
+                    # as many of its own standard deviations from either
                     middle = gap * sigma_px[p] / (sigma_px[p] + sigma_px[q])
                     inner, outer = middle - 1.5, middle + 1.5
                 else:
@@ -476,6 +491,7 @@ def _side_sums(
                 if y > highest:
                     highest, at = y, u
             if n > 3:
+                # the brightest pixel against the mean of the others
                 mean = (sy - highest) / (n - 1)
                 if highest - mean > _HOT * math.sqrt(noise**2 + gain * max(mean, 0.0)):
                     n -= 1

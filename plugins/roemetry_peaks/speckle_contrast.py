@@ -86,6 +86,7 @@ def contrasts_along(s: Stripes, rows: int, columns: int, noise: Floats) -> Float
     of_all = np.zeros(1)
     if found < _FEWEST:
         return of_all
+    # what a contrast of 1 would give is 1; the sensor's share is taken off
     squared = median_of(square / _MEDIAN_OF_SQUARE - of_sensor)
     if squared > _NOTHING * of_sensor.sum() / found:
         of_all[0] = squared / (1.0 + _STRONG * squared)
@@ -148,6 +149,7 @@ def _places(
                 found += 1
                 break
             at = _followed(row, middle, begins, rows, at)
+            # coefficients of a third difference: 1, −3, 3, −1
             binomial *= -(3.0 - k) / (k + 1.0)
     return square[:found], of_sensor[:found], second[:found]
 
@@ -191,11 +193,13 @@ def _differs(
     count, total = np.zeros(parts), np.zeros(parts)
     per_row, per_px = _PARTS[0] / rows, _PARTS[1] / columns
     for p in range(at.shape[0]):
+        # the middle of the four rows
         part = _tile(s.row[at[p]] + _APART // 2, s.middle[at[p]], per_row, per_px, _PARTS)
         count[part] += 1.0
         total[part] += min(square[p] / (contrast2 + of_sensor[p]), _CLIP)
     mean = total.sum() / count.sum()
     apart = 0.0
+    # squared deviations of the parts' sums, each over its number
     for part in range(parts):
         off = total[part] - mean * count[part]
         apart += off * off / max(count[part], 1.0)
@@ -218,6 +222,7 @@ def _by_tile(
     for p in range(at.shape[0]):
         tile[p] = _tile(s.row[at[p]] + _APART // 2, s.middle[at[p]], per_row, per_px, _TILES)
         begin[tile[p] + 1] += 1
+    # sorted by tile, so that each has its median
     begin = np.cumsum(begin)
     filled, sorted_ = begin.copy(), np.empty(at.shape[0])
     sensor = np.zeros(tiles)
@@ -230,6 +235,7 @@ def _by_tile(
         count = begin[t + 1] - begin[t]
         if count < _PLACES_MIN:
             continue
+        # what lies far beyond the median is no speckle, and counts as the limit
         limit = _CLIP * median_of(sorted_[begin[t] : begin[t + 1]]) / _MEDIAN_OF_SQUARE
         total = 0.0
         for p in range(begin[t], begin[t + 1]):
@@ -326,6 +332,7 @@ def _speckled(
         for k in range(count - lag):
             if levels[first + k] < white and levels[first + k + lag] < white:
                 together += pull[k] * light[k] * pull[k + lag] * light[k + lag]
+        # each pair counts twice, a pixel with itself once
         alike = np.exp(-0.25 * (lag / length) ** 2) if lag > 0 else 0.5
         total += 2.0 * alike * together
     return total

@@ -130,6 +130,7 @@ def noise_from(
     if not tile.size:
         return StripeNoise(variance or rounding, gain or 0.0, _USUAL, np.zeros(tiles))
     correlation = _USUAL
+    # twice where the sensor is estimated, since its share depends on the correlation
     for _ in range(2 if variance is None or gain is None else 1):
         if variance is None or gain is None:
             read, shot = _sensor(products.sum(0), _lags(correlation), variance, gain, most)
@@ -225,7 +226,9 @@ def _by_tile(own: Floats, unit: Floats, tile: Integers, tiles: int) -> Floats:
         chance = np.maximum(scatter, 2.0 / units)[enough]
     found, weight = contrast2[enough], count[enough] / count[enough].sum()
     mean = float(weight @ found)
+    # variance between the tiles, less what is chance
     true = max(float(weight @ (found - mean) ** 2 - weight @ chance), 0.0)
+    # empirical Bayes: drawn to the mean by the share of chance
     shrunk: Floats = np.full(tiles, max(mean, 0.0))
     shrunk[enough] = np.maximum(mean + true / (true + chance) * (found - mean), 0.0)
     return shrunk
@@ -304,6 +307,7 @@ def residual_products(
             w[i] = 0.0 if f[first + i] >= white else 1.0 / v
             squares += w[i] * r[i] * r[i]
             largest = max(largest, w[i] * r[i] * r[i])
+            # derivatives of the model by centre, height and ln σ
             jac[i, 0], jac[i, 1], jac[i, 2] = m[i] * z, e, m[i] * z * d
         # A hot pixel is unlike the others; where all are large, that is how these stripes are.
         others = max((squares - largest) / max(n - 3.0, 1.0), 1.0)
@@ -338,6 +342,7 @@ def _hat(jac: Floats, w: Floats, n: int, hat: Floats) -> bool:
         a11 += w[i] * j1 * j1
         a12 += w[i] * j1 * j2
         a22 += w[i] * j2 * j2
+    # inverse of a symmetric 3 × 3 matrix by cofactors
     c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
     c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
     det = a00 * c00 + a01 * c01 + a02 * c02

@@ -120,6 +120,7 @@ def corrected(
     asked
         (peak,) those that may tell; none: all. Saturated peaks and those at the border never do.
     """
+    # where nothing is stated nothing is asked
     if not x_std_px.size or np.isnan(x_std_px[0]):
         return x_std_px, ()
     use = np.empty(x_std_px.size, np.bool_)
@@ -184,6 +185,7 @@ def _factor(row: Integers, x_px: Floats, x_std_px: Floats, use: Flags) -> float:
         ratios = _windows(row, x_px, x_px, x_std_px, use, _LAG)
     if ratios.size < _WINDOWS_MIN:
         return 1.0
+    # ratios are of squares
     factor = math.sqrt(_median(ratios) / _USUAL)
     return 1.0 if 1.0 / _TRUSTED <= factor <= _TRUSTED else max(factor, 1e-3)
 
@@ -210,6 +212,7 @@ def _is_noise(
     of_peak = row[pick], x_px[pick], amplitude[pick], background[pick], width_px[pick] / FWHM_OF_SIGMA
     if _median(_residual_std(image, *of_peak) / x_std_px[pick]) > _MORE:
         return True
+    # speckle multiplies heights: logarithms make it the same for all
     height, one = np.log(np.maximum(amplitude, 1e-3)), np.ones(amplitude.size)
     near, far = (_windows(row, x_px, height, one, use, lag) for lag in (1, _LAG))
     if near.size and far.size and _median(near) < _LONG * _median(far):
@@ -239,6 +242,7 @@ def _windows(row: Integers, x_px: Floats, values: Floats, std: Floats, use: Flag
             a, b, c, d = chain[i], chain[i + lag], chain[i + 2 * lag], chain[i + 3 * lag]
             if not (use[a] and use[b] and use[c] and use[d]):
                 continue
+            # third differences, which neither lean nor even bend enters
             difference = values[a] - values[d] + 3.0 * (values[c] - values[b])
             stated = std[a] ** 2 + std[d] ** 2 + 9.0 * (std[b] ** 2 + std[c] ** 2)
             total += difference * difference / stated
@@ -284,6 +288,7 @@ def _residual_std(
             u = (x - x_px[p]) / sigma_px[p]
             squares += (image[row[p], x] - background[p] - amplitude[p] * math.exp(-0.5 * u * u)) ** 2
         freedom = max(last - first + 1 - 3, 1)
+        # least squares on a Gaussian: noise × √(2 σ/√π) over its height
         std[p] = math.sqrt(squares / freedom * 2.0 * sigma_px[p] / math.sqrt(math.pi)) / amplitude[p]
     return std
 

@@ -88,6 +88,7 @@ class Steger(Extractor[StegerOptions]):
             rise = max(_NOISES * noise * _noise_left(plain, image.shape[0]), scaled_level(_LEVELS_MIN, frame))
         else:
             rise = scaled_level(options.threshold, frame)
+        # √(3/(16π))/σ³ is what the second derivative's filter leaves of white noise
         found = crossings(
             image,
             filtered(plain, plain),
@@ -102,6 +103,7 @@ class Steger(Extractor[StegerOptions]):
         )
         order = np.lexsort((found.x_px, found.row))
         row, x_px = found.row[order], found.x_px[order]
+        # a crossing may lie beyond the border, or out of order
         inside = np.abs(x_px - 0.5 * (image.shape[1] - 1)) <= 0.5 * image.shape[1]
         inside[1:] &= (np.diff(row) > 0) | (np.diff(x_px) > 0.0)
         order = order[inside]
@@ -128,6 +130,7 @@ def _noise_left(plain: np.ndarray, rows: int) -> float:
     Along the rows the image is taken as long: where there are few rows, each of them counts several times.
     """
     reach = plain.size // 2
+    # rows beyond the border repeat the last one, whose weights add up
     of_row = np.bincount(np.clip(rows // 2 + np.arange(-reach, reach + 1), 0, rows - 1), plain)
     return float(np.linalg.norm(plain) * np.linalg.norm(of_row))
 
@@ -138,6 +141,7 @@ def _filters(sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     u = np.arange(-reach, reach + 1, dtype=np.float64)
     plain = np.exp(-0.5 * (u / sigma) ** 2)
     plain /= plain.sum()
+    # scaled to be exact on u and on u²
     first = u * plain
     first /= first @ u
     second = (u**2 - (u**2 @ plain)) * plain
@@ -273,6 +277,7 @@ def _crossings(
                     kept_x, kept = crossing, strongest
                     count += 1
                 weight, x_sum, nx_sum, ny_sum, strongest = 0.0, 0.0, 0.0, 0.0, 0.0
+            # what is so much stronger replaces what was gathered
             if weight > 0.0 and strength > _STRONGER * strongest:
                 weight, x_sum, nx_sum, ny_sum = 0.0, 0.0, 0.0, 0.0
             if near > 0.0 and _STRONGER * strength >= strongest:
@@ -315,11 +320,13 @@ def _long(rows_min: int, count: int, row: Integers, values: Floats, flags: NDArr
                 if row[q] == row[p]:
                     break
                 lean = values[4, q] * (row[p] - row[q])
+                # within what its lean explains
                 if abs(values[0, p] - values[0, q] - lean) <= _GONE_PX + _BENT * abs(lean):
                     rows[way, p] = max(rows[way, p], rows[way, q] + 1)
                 upto += 1
     kept = 0
     for p in range(count):
+        # both ways have counted the row itself
         if rows[0, p] + rows[1, p] - 1 < rows_min:
             continue
         row[kept], flags[kept] = row[p], flags[p]
@@ -360,8 +367,10 @@ def _ridge(
 ) -> tuple[float, float, float, float, float]:
     """How near a ridge runs to a pixel's middle (0: not through it); the crossing; its normal; strength."""
     a, b, c = np.float64(gxx[y, x]), np.float64(gxy[y, x]), np.float64(gyy[y, x])
+    # neither curvature is negative enough: known without a root
     if a > -bend_min and c > -bend_min and a * c - b * b >= 0.0:
         return 0.0, 0.0, 1.0, 0.0, 0.0
+    # eigenvalues of the Hessian
     half = 0.5 * (a - c)
     root = math.sqrt(half * half + b * b)
     across = 0.5 * (a + c) - root
@@ -374,6 +383,7 @@ def _ridge(
     if size == 0.0:
         return 0.0, 0.0, 1.0, 0.0, 0.0
     nx, ny = nx / size, ny / size
+    # Newton's step to where the slope across vanishes
     t = -(gx[y, x] * nx + gy[y, x] * ny) / across
     if abs(t) > 1.0:
         return 0.0, 0.0, 1.0, 0.0, 0.0
@@ -399,6 +409,7 @@ def _measure(smooth: Smooth, x: float, y: int, nx: float, ny: float, limits: Flo
     for side in range(2):
         way = 1.0 if side else -1.0
         lowest, distance = top, 0.0
+        # down to the valley, which ends where it rises by half the threshold
         while distance < min(_REACH_PX, 3.0 * wide):
             distance += _STEP_PX
             level = _level(smooth, x + way * distance * nx, y + way * distance * ny)
@@ -421,10 +432,12 @@ def _measure(smooth: Smooth, x: float, y: int, nx: float, ny: float, limits: Flo
         if not level > -np.inf:
             return False
         halves[side] = distance - _STEP_PX * (half - level) / (before - level)
+    # widths add as squares: the smoothing's is taken off
     variance = ((halves[0] + halves[1]) / FWHM_OF_SIGMA) ** 2 - sigma * sigma
     if variance <= 0.0 or not narrow <= FWHM_OF_SIGMA * math.sqrt(variance) <= wide:
         return False
     background = 0.5 * (valleys[0] + valleys[1])
+    # smoothing lowered the height, too
     out[0] = (top - background) * math.sqrt((variance + sigma * sigma) / variance)
     out[1] = background
     out[3] = top - background
@@ -546,6 +559,7 @@ def _top_near(image: NDArray[Any], y: int, at: float, sigma: float) -> float:
     reach = math.ceil(_END_REACH * sigma)
     x = at
     for _ in range(_STEPS):
+        # slope and bend of the smoothed row at x, but for their factors
         slope, bend = 0.0, 0.0
         for column in range(math.floor(x) - reach, math.floor(x) + reach + 1):
             u = (column - x) / sigma
@@ -554,6 +568,7 @@ def _top_near(image: NDArray[Any], y: int, at: float, sigma: float) -> float:
             bend += (u * u - 1.0) * light
         if not bend < 0.0:
             return np.nan
+        # half a pixel at a time at most, so that it does not jump to another top
         step = -sigma * slope / bend
         x += min(max(step, -0.5), 0.5)
         if not abs(x - at) <= _AWAY * sigma + LEANS:

@@ -53,6 +53,7 @@ def _leaked(peaks: Peaks, other: Peaks) -> Flags:
     """Say which peaks are light of the other family."""
     if not len(peaks) or not len(other):
         return np.zeros(len(peaks), np.bool_)
+    # rows one after the other on one axis, each longer than the image is wide
     wide = float(peaks.image_size[1]) + 10.0 * _NEAR_PX
     key, of = peaks.row * wide + peaks.x_px, other.row * wide + other.x_px
     at = np.searchsorted(of, key)
@@ -72,6 +73,7 @@ def _joined(first: Peaks, mine: Flags, second: Peaks, its: Flags) -> Peaks:
     row, x_px = both("row"), both("x_px")
     order = np.lexsort((family, x_px, row))
     row, x_px = row[order], x_px[order]
+    # places of a row must rise
     same = np.flatnonzero((np.diff(row) == 0) & (np.diff(x_px) <= 0.0))
     x_px[same + 1] += _APART_PX
     return Peaks(

@@ -87,14 +87,17 @@ def zero_crossings(
         if half == 0:
             half = max(1, int(np.rint(_LENGTH_OF_SIGMA * widths[i] / FWHM_OF_SIGMA)))
         if flags[i] & EDGE:
+            # not beyond the border on either side
             here = int(np.floor(middles[i]))
             half = max(1, min(half, min(here - los[i], his[i] - here - 1)))
+        # what the background's slope adds to the difference: Σ 2 k over the half's pixels
         tilt = slopes[i] * half * (half + 1)
         lowest, highest = los[i] + half, his[i] - half
         x_px[i] = x_std_px[i] = np.nan
         before = int(np.floor(middles[i]))
         if before < lowest or before + 1 > highest:
             continue
+        # the difference falls from plus to minus at the centre: a pixel on either side of that
         left = _difference(levels, begins + before, half) - tilt
         while left <= 0.0 and before > lowest:
             before -= 1
@@ -108,11 +111,13 @@ def zero_crossings(
             right = _difference(levels, begins + after, half) - tilt
         if not (left > 0.0 > right and abs(0.5 * (before + after) - middles[i]) < widths[i]):
             continue
+        # a straight line between both
         part = left / (left - right)
         x_px[i] = before + part * (after - before)
         first, count = before - half, after - before + 2 * half + 1
         if count > PIXELS_MAX:
             continue
+        # by how much a grey level moves the zero
         unit = (after - before) / (left - right)
         lean = 0.0
         for k in range(count):

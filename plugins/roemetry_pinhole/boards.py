@@ -2,13 +2,15 @@
 
 Marks are inner corners of squares (chessboard, ChArUco), found and refined by OpenCV with a window that ends
 before the next edge, or centres of dark circles. A circle's centre of gravity is not where its centre is
-seen:
-under perspective and distortion it moves, and is corrected once the pose is nearly known. A view is used when
-its marks are enough, far enough apart, sharp, and lie as on the described board; else the reason is kept by
-name: blurred, tiny, cut off, mirrored, another board, laser-on and laser-off exchanged.
+seen: under perspective and distortion it moves, and is corrected once the pose is nearly known. A view is
+used when its marks are enough, far enough apart, sharp, and lie as on the described board; else the reason is
+kept by name: blurred, tiny, cut off, mirrored, another board, laser-on and laser-off exchanged.
 
 A pose has up to two images: with the laser off, which shows the marks and how even the print is, and with the
 laser on, whose difference to the first shows the stripes.
+
+It assumes a flat board, up to the lens and what warp is described. It fails where the pitch is described
+wrongly: marks alone cannot tell a size (`roemetry_pinhole.scale`, `roemetry_pinhole.prints`).
 """
 
 from __future__ import annotations
@@ -74,6 +76,7 @@ def diagnose_charuco(grey: NDArray[np.uint8], board: Board, corners: int) -> str
     tiny = _tiny(grey, described)
     if tiny:
         return tiny
+    # another dictionary is only tried where hardly a marker of the described one is seen
     for name in _DICTIONARIES if own < 3 else ():
         found = ids_of(grey, name).size
         if found > max(3, 2 * own) and not name.startswith(described[:8]):
@@ -185,6 +188,7 @@ def _smooth_and_slope(grey: NDArray[np.uint8], sigma_px: float) -> tuple[Floats,
 def _blurred(grey: NDArray[np.uint8]) -> str:
     """Say that nothing in the image is sharp; "" where something is."""
     smooth, slope = _smooth_and_slope(grey, 1.5)
+    # the range of grey over the steepest slope is the width of the sharpest edge
     low, high = np.percentile(smooth, [1, 99])
     width = float(high - low) / max(float(np.percentile(slope, 99.5)), 1e-3)
     if width <= _BLURRED_PX:
@@ -245,6 +249,7 @@ def find_marks(frame: Frame, board: Board) -> BoardMarks:
     import cv2
 
     grey = np.ascontiguousarray(frame.pixels)
+    # OpenCV's detectors take 8 bits
     if grey.dtype != np.uint8 or frame.bit_depth != 8:
         grey = np.rint(grey * (255.0 / frame.white)).clip(0, 255).astype(np.uint8)
     layout, radius_mm = "", 0.0
@@ -255,6 +260,7 @@ def find_marks(frame: Frame, board: Board) -> BoardMarks:
     else:
         board_mm, xy_px, radius_mm = _circles(grey, board)
     spacing_px = _spacing(board_mm, xy_px, board.pitch_mm)
+    # found on a square grid; rows may have another pitch
     board_mm[:, 1] *= (board.row_pitch_mm or board.pitch_mm) / board.pitch_mm
     edge_px = _edge_width(grey, xy_px, spacing_px)
     if spacing_px < _SPACING_MIN_PX:
@@ -267,6 +273,7 @@ def find_marks(frame: Frame, board: Board) -> BoardMarks:
             f"the board is blurred: its edges are {edge_px:.1f} px wide, its corners {spacing_px:.1f} px "
             f"apart; {SHARPER}"
         )
+    # a board is flat: a homography fits, but for the lens
     matrix = cv2.findHomography(board_mm[:, :2].copy(), xy_px, 0)[0]
     if matrix is None:
         raise BoardNotFoundError(
@@ -400,11 +407,14 @@ def _centred(grey: NDArray[np.uint8], xy: Floats, spacing_px: float) -> tuple[Fl
             continue
         patch = grey[top : top + 2 * half + 1, left : left + 2 * half + 1].astype(np.float64)
         dark, light = np.percentile(patch, [5, 85])
+        # from dark to light, clipped at a tenth of either: noise outside counts nothing
         weight = np.clip((light - 0.1 * (light - dark) - patch) / (0.8 * (light - dark) + 1e-9), 0.0, 1.0)
         v, u = np.indices(patch.shape)
+        # within a circle, so that neighbours in the window's corners do not pull
         weight *= np.hypot(u - half, v - half) <= half
         area[mark] = weight.sum()
         found[mark] = left + (weight * u).sum() / area[mark], top + (weight * v).sum() / area[mark]
+    # a centre that moved far followed something else
     near = np.hypot(*(found - xy).T) < 0.1 * spacing_px
     return np.where(near[:, None], found, xy), np.where(near, area, np.nan)
 
@@ -479,6 +489,7 @@ def board_views(observed: CalibrationSet, seen: Seen) -> None:
             poses.setdefault((observation.board, observation.pose), {})[observation.frame.role] = observation
         for (number, name), pose in poses.items():
             board, on_belt = observed.boards[number], shows == "board_on_belt"
+            # the image with the laser off first: no stripe crosses a mark in it
             plain, laser = pose.get("plain"), pose.get("laser")
             found = _marks([one for one in (plain, laser) if one is not None], board, seen)
             if found is None:
@@ -520,9 +531,11 @@ def on_even_print(peaks: Peaks, plain: Frame, contrast_max: float) -> Flags:
     """
     columns = plain.size[1]
     half = int(np.clip(np.ceil(0.6 * np.nanmedian(peaks.width_px)), 1, 25)) if len(peaks) else 1
+    # half the stripe's width, and a little more, to either side
     at = np.clip(np.rint(peaks.x_px).astype(np.int64)[:, None] + np.arange(-half, half + 1), 0, columns - 1)
     around = plain.pixels[peaks.row[:, None], at].astype(np.float64)
     low, high = around.min(axis=1), around.max(axis=1)
+    # Michelson's contrast, and what noise makes of dark print
     return np.asarray((high - low) <= contrast_max * (high + low) + _UNEVEN_NOISE * plain.white)
 
 

@@ -103,6 +103,7 @@ class Problem:
                 factor, scale = _factored(normal, damping)
                 moved = self.unknowns.moved(geometry, -scale * cho_solve(factor, scale * gradient))
                 new_cost = self.cost(moved)
+                # not worse but for rounding: the step is taken
                 if new_cost <= cost * (1.0 + 1e-12):
                     break
                 damping *= 8.0
@@ -113,6 +114,7 @@ class Problem:
             # a small gain under strong damping is no sign of having arrived
             if gained <= tolerance * cost and (damping < 1e-9 or tolerance > TOLERANCE):
                 break
+            # near the minimum the damping vanishes, and steps are Gauss and Newton's
             damping = max(damping / 100.0, 1e-14)
         return geometry
 
@@ -137,6 +139,7 @@ class Problem:
             (rims, rim / self.edges.std_px**2),
         ):
             add_rows(rows.columns, rows.values, rows.residual, weight, normal, gradient)
+        # rows were added to the lower triangle alone
         return normal + np.tril(normal, -1).T, gradient
 
     def cost(self, geometry: Geometry) -> float:
@@ -169,6 +172,7 @@ class Problem:
         weights = self.weights
         covariance = inverse(self.normal(geometry)[0])
         marks = corner_rows(geometry, self.unknowns, self.corners)
+        # what the unknowns take of each row's variance: its leverage
         taken = row_variances(marks.columns, marks.values, covariance) / weights.corner_std_px**2
         share = np.repeat(weights.corner, 2)
         free = float((share * (1.0 - taken)).sum())
@@ -299,6 +303,7 @@ def adjust(
     """
     weights = Weights(1.0, 1.0, np.ones(corners.pose.size), np.ones(points.pose.size))
     problem = Problem(unknowns, corners, points, contacts, contact_std_mm, weights, edges)
+    # in this order: a robust start, strays out, then noise, and equal rights for the rest
     geometry = robust_prefit(problem, geometry)
     _reject_outliers(problem, geometry)
     points = problem.points = _by_surface(problem, geometry)
@@ -306,6 +311,7 @@ def adjust(
     geometry = problem.solve(geometry, 1e-6)
     problem.estimate_noise(geometry)
     off, far = problem.distances(geometry)
+    # a mark's distance is of two coordinates, its standard deviation of one
     weights.corner = (off <= _OUTLIER * 1.2 * weights.corner_std_px).astype(np.float64)
     weights.stripe = (far <= _OUTLIER * weights.stripe_scale).astype(np.float64)
     weights.correlation = _correlation(stripe_residuals(geometry, points) / points.std_px, points, weights)
@@ -329,6 +335,7 @@ def adjust(
 def robust_prefit(problem: Problem, geometry: Geometry) -> Geometry:
     """Find the unknowns robustly and not to the last digit; the noise is estimated into the weights."""
     weights = problem.weights
+    # twice, since the noise, and with it what counts as far, changes
     for tolerance in (1e-2, 1e-4):
         geometry = problem.solve(geometry, tolerance)
         off, far = problem.distances(geometry)
@@ -387,8 +394,10 @@ def _reweight_stripes(problem: Problem, geometry: Geometry) -> tuple[Geometry, f
     own = weights.correlation
     if not (weights.stripe.any() and weights.corner.any()):
         return problem.solve(geometry, TOLERANCE), 1.0
+    # stripes that hardly count: the marks' own minimum, to compare with
     weights.correlation = own * _ALMOST_NOTHING
     alone = problem.marks_cost(problem.solve(geometry, 1e-6))
+    # numbers that both determine: the camera's, and three of each board's plane
     shared = float((problem.unknowns.camera >= 0).sum() + 3 * np.unique(problem.corners.pose).size)
     weights.correlation, conflict = own, 1.0
     for _ in range(_REWEIGHT_ROUNDS):
@@ -396,6 +405,7 @@ def _reweight_stripes(problem: Problem, geometry: Geometry) -> tuple[Geometry, f
         grown = (problem.marks_cost(geometry) - alone) / shared
         if grown <= 1.0:
             break
+        # at least halved, at most a tenth: growth is no linear function of the weight
         conflict *= min(max(1.5 * grown, 2.0), 10.0)
         weights.correlation = own * conflict
     return geometry, conflict
@@ -409,6 +419,7 @@ _RAYLEIGH = 1.0 / (np.sqrt(np.log(2.0)) * MAD_TO_STD)
 
 def _correlation(off: Floats, points: StripePoints, weights: Weights) -> float:
     """1 + 2 Σ ρ over the lags along a stripe up to the first that is not significant."""
+    # along each stripe of each pose by row: neighbours in the list are neighbours on the stripe
     order = np.lexsort((points.row_px, points.stripe, points.pose))
     order = order[weights.stripe[order] > 0]
     pose, stripe, row, value = (of[order] for of in (points.pose, points.stripe, points.row_px, off))
@@ -419,10 +430,12 @@ def _correlation(off: Floats, points: StripePoints, weights: Weights) -> float:
     square, factor = float((value**2).mean()), 1.0
     for lag in range(1, _LAGS + 1):
         together = (pose[lag:] == pose[:-lag]) & (stripe[lag:] == stripe[:-lag])
+        # rows that are missing between two make them no neighbours of this lag
         together &= row[lag:] - row[:-lag] <= (lag + 0.5) * step
         if together.sum() < _CORRELATED_MIN:
             break
         share = float((value[lag:] * value[:-lag])[together].mean()) / square
+        # two standard errors of the correlation of independent values, 2/√n
         if share < 2.0 / np.sqrt(together.sum()):
             break
         factor += 2.0 * share
@@ -514,15 +527,19 @@ def _disagreement(problem: Problem, geometry: Geometry) -> float:
     from scipy.linalg import solve_triangular
 
     unknowns = problem.unknowns
+    # what every pose has in common: camera, planes, belt, travel
     shared = np.setdiff1d(np.arange(unknowns.count), unknowns.poses)
     numbers = [ON_BELT, *range(len(unknowns.poses))]
     parts = np.array([_shared_part(problem, geometry, pose, shared) for pose in numbers])
+    # the normal matrix of what is shared, summed over belt and poses
     (root, _), scale = _factored(parts[:, :, :-1].sum(axis=0))
     pulled = expected = 0.0
     for part in parts[1:]:
+        # whitened by the sum, so that all directions count alike
         white = solve_triangular(root, scale[:, None] * part, lower=True)
         share = solve_triangular(root, scale[:, None] * white[:, :-1].T, lower=True)
         pulled += float(white[:, -1] @ white[:, -1])
+        # trace of R N⁻¹ less that of its square: what noise alone makes of the pull
         expected += float(np.trace(share) - (share**2).sum())
     return pulled / expected if expected > 0.0 else 1.0
 
@@ -544,7 +561,9 @@ def _shared_part(problem: Problem, geometry: Geometry, pose: int, shared: Intege
     )
     normal, gradient = of_pose.normal(geometry)
     both = np.column_stack([normal, gradient])
+    # the belt has no pose of its own
     own = np.empty(0, np.int64) if pose == ON_BELT else problem.unknowns.poses[pose]
+    # Schur complement: the pose's own unknowns are eliminated
     gone = np.linalg.solve(normal[np.ix_(own, own)], both[own])
     return np.asarray((both - normal[:, own] @ gone)[np.ix_(shared, np.append(shared, -1))])
 
@@ -577,6 +596,7 @@ def add_rows(
                 continue
             scaled = w * values[row, i]
             gradient[a] += scaled * residual[row]
+            # symmetric: the lower triangle is enough
             for j in range(columns.shape[1]):
                 b = columns[row, j]
                 if 0 <= b <= a:

@@ -206,6 +206,7 @@ class PinholeCalibrator(Calibrator[PinholeCalibratorOptions]):
 
     def _look(self, observed: CalibrationSet) -> tuple[Seen, JointAdjustment | CalibrationError]:
         last = self._last
+        # by identity: evidence and findings ask for the very set that was calibrated
         if last is None or last[0] is not observed:
             seen = Seen()
             try:
@@ -321,6 +322,7 @@ def levelled(adjusted: Adjusted, middle_mm: Floats, gravity: Floats, std_deg: fl
             hint="gravity is the direction downwards in the turned image's camera frame: x right, y down, z "
             "forward; leave it out to count heights from the plane of the board itself",
         )
+    # b' = g (b·r) / (g·r), linear in b
     turn = np.outer(down, sight) / drop
     step = np.eye(adjusted.covariance.shape[0])
     at = adjusted.unknowns.belt
@@ -328,6 +330,7 @@ def levelled(adjusted: Adjusted, middle_mm: Floats, gravity: Floats, std_deg: fl
     covariance = step @ adjusted.covariance @ step.T
     across = np.linalg.svd(down[None, :])[2][1:].T  # (3, 2): two directions across gravity
     scale = float(adjusted.geometry.belt @ sight) / drop
+    # by gravity's error in both directions across it
     moved = np.radians(std_deg) * scale * (across - np.outer(down, sight @ across) / drop)
     covariance[np.ix_(at, at)] += moved @ moved.T
     belt = turn @ adjusted.geometry.belt

@@ -6,6 +6,9 @@ poses, belt; covariance C from their own adjustment) and c the cones' numbers, t
 distances from their circles over their variance and of u's step over C are made smallest by Gauss and
 Newton's method (Triggs, McLauchlan, Hartley and Fitzgibbon 2000). Peaks that lie far off are left out; if
 the others scatter more than they state, the covariance grows by that.
+
+It assumes that circles are concentric and come from one point; how much peaks scatter about such cones, and
+how many lie far off, is limited. It fails with few places of circles on boards.
 """
 
 from __future__ import annotations
@@ -156,6 +159,7 @@ class PinholeCirclesCalibrator(Calibrator[PinholeCirclesOptions]):
         axis /= np.linalg.norm(axis)
         across = np.array([1.0, 0.0, 0.0]) - axis[0] * axis
         right = (of_boards - light) @ across > 0.0
+        # left halves count from the largest circle inwards
         of_circle = np.where(right, circles + circle, circles - 1 - circle)
         every = np.concatenate([on, np.where(circle < 0, -1, of_circle)])
         kept = every >= 0
@@ -225,6 +229,7 @@ class _Found:
 def _sound(one: Observation) -> Flags:
     peaks = one.peaks
     sound = (peaks.flags & (EDGE | WIDE | SATURATED)) == 0
+    # on boards every third row; the empty belt has few enough
     return np.asarray(sound & (peaks.row % _EVERY == 0) if one.shows != "belt" else sound)
 
 
@@ -263,6 +268,7 @@ def _adjusted(marks: Adjusted, points: _Points, cones: Floats) -> _Found:
     for step in range(_ROUNDS):
         place = _places(geometry, points.pose, points.xy_px)
         beside = _places(geometry, points.pose, points.xy_px + np.array([_STEP_PX, 0.0]))
+        # rad for a pixel along the row
         per_px = (_angle(cones, beside) - _angle(cones, place)) / _STEP_PX
         here = _off(geometry, cones, points)
         residual = here / per_px
@@ -279,15 +285,18 @@ def _adjusted(marks: Adjusted, points: _Points, cones: Floats) -> _Found:
             move = np.zeros(own)
             move[number] = size
             derivative[:, count + number] = (_off(geometry, cones + move, points) - here) / size
+        # a peak's own half angle
         derivative[np.arange(here.size), count + 5 + points.circle] = -1.0
         derivative /= per_px[:, None]
         weight = np.where(used, 1.0 / (factor * points.std_px) ** 2, 0.0)
         normal = (derivative * weight[:, None]).T @ derivative
         normal[:count, :count] += information
+        # unknowns in mm, rad and px: scaled before inverting
         scale = 1.0 / np.sqrt(np.diag(normal))
         covariance = scale[:, None] * np.linalg.inv(scale[:, None] * normal * scale) * scale
         if step < _ROUNDS - 1:
             right = -(derivative * weight[:, None]).T @ residual
+            # u is weighed from the marks' own place
             right[:count] -= information @ total
             change = covariance @ right
             total = total + change[:count]

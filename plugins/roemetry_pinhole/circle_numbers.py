@@ -5,6 +5,9 @@ order. Boards show parts of them. A circle's light comes from the projector: see
 on a board would have fallen on the belt, on a circle of the belt. So places of the projector are tried,
 the points of all boards carried on to the belt, and the place from which they fall on the belt's circles
 is the right one; the circle that each falls on is its number.
+
+It fails where the belt is not empty or circles leave the view, so that no row shows all curves; and where the
+projector stands farther from the camera than it is looked for (`_ASIDE`, `_UP`).
 """
 
 from __future__ import annotations
@@ -42,6 +45,7 @@ def on_belt(peaks: Peaks, use: Flags, circles: int, name: str) -> Integers:
     fragment, count = trace_fragments(peaks.row_start, peaks.x_px, _STEP_PX)
     long = use & (np.bincount(fragment, minlength=count)[fragment] >= _LEAST_ROWS)
     in_row = np.bincount(peaks.row[long], minlength=peaks.image_size[0])
+    # as many as some rows show: those through the middle show all
     often = np.flatnonzero(np.bincount(in_row) >= _MIDDLE_ROWS_MIN)
     most = int(often.max(initial=0))
     if most != 2 * circles:
@@ -54,6 +58,7 @@ def on_belt(peaks: Peaks, use: Flags, circles: int, name: str) -> Integers:
     full = in_row[peaks.row[at]] == most
     votes = np.zeros((count, most), np.int64)
     np.add.at(votes, (fragment[at[full]], rank[full]), 1)
+    # a curve with different ranks is no one half
     one = votes.max(axis=1) == votes.sum(axis=1)
     half = np.where(one & (votes.sum(axis=1) > 0), votes.argmax(axis=1), -1)
     return np.where(long, half[fragment], -1)
@@ -69,6 +74,7 @@ class BeltCircles(NamedTuple):
     @classmethod
     def through(cls, xy_mm: Floats, half: Integers, circles: int) -> BeltCircles:
         """Fit them to labelled points (n, 2) of the belt."""
+        # between both halves of the smallest circle
         inner = (half == circles - 1) | (half == circles)
         sides = [xy_mm[inner & (half == one)].mean(axis=0) for one in (circles - 1, circles)]
         middle = 0.5 * (sides[0] + sides[1])
@@ -87,6 +93,7 @@ class BeltCircles(NamedTuple):
         radius = _harmonics(np.arctan2(away[..., 1], away[..., 0])) @ self.radius.T
         far = np.hypot(away[..., 0], away[..., 1])[..., None]
         gap = np.diff(radius, axis=-1)
+        # each gap counts as far as it lies within: a number that rises evenly between circles
         steps = (far - radius[..., :-1]) / gap
         low, high = np.full(gap.shape[-1], 0.0), np.full(gap.shape[-1], 1.0)
         low[0], high[-1] = -np.inf, np.inf  # beyond the smallest and the largest spacings go on
@@ -110,6 +117,7 @@ def on_boards(belt: BeltCircles, points_mm: Floats, height_mm: float) -> tuple[F
     CalibrationError
         From no place the points of boards fall on circles of the belt.
     """
+    # spread evenly over all boards
     some = points_mm[np.unique(np.linspace(0, len(points_mm) - 1, _TRIED).astype(np.int64))]
     aside, level = 2.0 * _ASIDE * height_mm / (_STEPS - 1), (_UP[1] - _UP[0]) * height_mm / (_LEVELS - 1)
     step = np.array([aside, aside, level])
@@ -137,6 +145,7 @@ def _best(belt: BeltCircles, points: Floats, places: Floats) -> tuple[Floats, fl
     for n, place in enumerate(places):
         number = belt.number(_carried(points, place))
         nearest = np.clip(np.rint(number), 0, len(belt.radius) - 1)
+        # capped: what is no circle's light must not decide
         off[n] = np.minimum(np.abs(number - nearest), 0.25).mean()
     best = int(off.argmin())
     return places[best], float(off[best])
@@ -144,6 +153,7 @@ def _best(belt: BeltCircles, points: Floats, places: Floats) -> tuple[Floats, fl
 
 def _carried(points: Floats, place: Floats) -> Floats:
     """Give (n, 2) where light from a place that falls on points would meet the belt."""
+    # similar triangles from the light through the point
     share = points[:, 2] / (place[2] - points[:, 2])
     return np.asarray(points[:, :2] + (points[:, :2] - place[:2]) * share[:, None])
 

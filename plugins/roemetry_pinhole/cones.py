@@ -54,6 +54,7 @@ def view_of(parameters: Mapping[str, Floats], image_size: tuple[int, int]) -> Vi
     axis = np.append(parameters[AXIS], 1.0)
     axis = pose[:3, :3] @ (axis / np.linalg.norm(axis))
     apex = pose[:3, :3] @ parameters[LIGHT] + pose[:3, 3]
+    # left halves are negative, the largest circle first
     angle = np.concatenate([-parameters[ANGLES][::-1], parameters[ANGLES]])
     cones = np.column_stack([np.tile(np.concatenate([apex, axis]), (angle.size, 1)), angle])
     planes = touching_planes(cones, pose[:3, 0])
@@ -153,6 +154,7 @@ def _turned(parameters: Mapping[str, Floats], motion: Floats) -> dict[str, Float
         "focal_px": parameters["focal_px"] * (1.0 + motion[2]),
         "belt_per_mm": rotation @ parameters["belt_per_mm"],
         LIGHT: rotation @ parameters[LIGHT],
+        # its Z is 1 again
         AXIS: axis[:2] / axis[2],
     }
 
@@ -169,6 +171,7 @@ def lift_circles(
     around = lens.lens_from(camera, 4)
     for n in range(xy_px.shape[0]):
         cone, y = cones[stripe[n]], (xy_px[n, 1] - camera[3]) / camera[1]
+        # a hundredth of a pixel beside, for the slope
         beside = _met((xy_px[n, 0] + _STEP_PX - camera[2]) / camera[0], y, around, pose, cone)
         points[n] = _met((xy_px[n, 0] - camera[2]) / camera[0], y, around, pose, cone)
         rise[n] = abs(beside[2] - points[n, 2]) / _STEP_PX
@@ -184,6 +187,7 @@ def _met(
     if not (good and xx * yy - xy * xy > 0.0 and xx + yy > 0.0):
         return np.nan, np.nan, np.nan
     length = math.sqrt(x * x + y * y + 1.0)
+    # along the axis: of the ray's way and of its start from the apex
     along_way, along, over, far, lean = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(3):
         way, away = (pose[k, 0] * x + pose[k, 1] * y + pose[k, 2]) / length, pose[k, 3] - cone[k]
@@ -197,10 +201,12 @@ def _met(
         way, away = (pose[k, 0] * x + pose[k, 1] * y + pose[k, 2]) / length, pose[k, 3] - cone[k]
         across_way += pose[k, 0] * way
         across += pose[k, 0] * away
+    # on the cone (a·X)² = cos² X·X: a t² + 2 b t + c = 0
     square = math.cos(cone[6]) ** 2
     a, b, c = along_way**2 - square, along_way * along - square * over, along**2 - square * far
     fall = (pose[2, 0] * x + pose[2, 1] * y + pose[2, 2]) / length
     best, height, root = np.nan, np.inf, math.sqrt(max(b * b - a * c, 0.0))
+    # of both meetings: on the lit side, on this half, the nearer to the belt
     for t in ((-b + root) / a, (-b - root) / a):
         lit, mine = along + t * along_way > 0.0, cone[6] * (across + t * across_way) > 0.0
         if lit and mine and b * b >= a * c and abs(pose[2, 3] + t * fall) < height:

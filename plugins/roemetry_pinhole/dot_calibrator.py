@@ -1,4 +1,10 @@
-"""Calibration of camera, rays of a matrix of dots, and belt, from a board in many poses."""
+"""Calibration of camera, rays of a matrix of dots, and belt, from a board in many poses.
+
+Dots are numbered on the empty belt and, by the place of the projector, on the boards
+(`roemetry_pinhole.dot_lattice`); rays follow with the boards' marks (`roemetry_pinhole.dot_rays`). It assumes
+that camera and projector stood still and boards are as flat as described: dots that scatter more than they
+state by `_FACTOR_MAX` refuse. It fails where many dots are seen on too few surfaces.
+"""
 
 from __future__ import annotations
 

@@ -47,6 +47,7 @@ def followed(xy_px: Floats) -> Integers:
     length = np.hypot(way[..., 0], way[..., 1])
     steps = []
     for axis in (0, 1):
+        # ahead along this axis rather than across it
         ahead = way[..., axis] > np.abs(way[..., 1 - axis])
         nearest = np.where(ahead, length, np.inf).argmin(axis=1)
         some = ahead.any(axis=1)
@@ -54,6 +55,7 @@ def followed(xy_px: Floats) -> Integers:
             return found
         steps.append(np.median(way[some, nearest[some]], axis=0))
     basis = np.array(steps)
+    # from the middle outwards
     start = int(tree.query(np.median(xy_px, axis=0))[1])
     at = {start: (0, 0)}
     own = {start: basis}
@@ -67,10 +69,12 @@ def followed(xy_px: Floats) -> Integers:
                 continue
             at[other] = (at[here][0] + sign * (axis == 0), at[here][1] + sign * (axis == 1))
             turned = own[here].copy()
+            # steps follow the perspective: half the old one, half the new
             turned[axis] = 0.5 * (step + sign * (xy_px[other] - xy_px[here]))
             own[other] = turned
             waiting.append(other)
     who, place = np.array(list(at)), np.array(list(at.values()))
+    # of two dots at one place the first counts
     _, first = np.unique(place, axis=0, return_index=True)
     found[who[first]] = place[first] - place.min(axis=0)
     return found
@@ -153,6 +157,7 @@ def numbered_on_boards(
     best, near = found[int(shares.argmax())]
     for other, others_near in (found[n] for n in np.flatnonzero(shares > _OTHER * shares.max())):
         both = near & others_near
+        # another numbering differs on many dots
         if not both.any() or (best[both] != other[both]).any(axis=1).mean() >= _OTHER_NUMBERS:
             raise CalibrationError(
                 "the dots on the boards can be numbered in two ways",
@@ -169,6 +174,7 @@ def _meeting(belt_mm: Floats, board_mm: Floats) -> Floats | None:
     if some.sum() < _PAIRS_MIN:
         return None
     point, off_mm = nearest_point(belt_mm[some], way[some])
+    # light comes from above the board
     good = point[2] > board_mm[:, 2].max() and float(np.median(off_mm)) < _MEET_MM
     return point if good else None
 
@@ -179,6 +185,7 @@ def nearest_point(start_mm: Floats, way: Floats) -> tuple[Floats, Floats]:
     NaN where the lines are parallel.
     """
     way = way / np.linalg.norm(way, axis=1)[:, None]
+    # what lies across each line
     across = np.eye(3) - way[:, :, None] * way[:, None, :]
     matrix = across.sum(axis=0)
     if np.linalg.cond(matrix) > 1e8:

@@ -12,6 +12,9 @@ some twenty parameters with a covariance, not 1,600.
 
 In triangulation the point is the place on the dot's ray whose image lies nearest the dot, by the
 covariances of dot and ray (`roemetry.records.light`).
+
+It assumes that a dot's light runs along one straight line, and noise that dots do not share. It fails for
+dots seen on few surfaces: these rays are filled in from their neighbours', or unknown.
 """
 
 from __future__ import annotations
@@ -100,6 +103,7 @@ def adjusted_rays(marks: Adjusted, points: DotPoints, count: int) -> FoundRays:
     used = np.ones(points.ray.size, np.bool_)
     total = np.zeros(unknowns.count)
     for step in range(_ROUNDS):
+        # a ray needs its surfaces whatever was left out before
         used &= _often(points, used, count)
         if not used.any():
             raise CalibrationError(
@@ -107,6 +111,7 @@ def adjusted_rays(marks: Adjusted, points: DotPoints, count: int) -> FoundRays:
                 hint="hold the board under all of the pattern, in ten poses and more",
             )
         lines = _lines_through(geometry, points, used, count)
+        # rays twice before they are judged: residuals must not be the start's
         for _ in range(2):
             residual, by_ray = _by_ray(geometry, lines, points)
             lines = lines + _eliminated(by_ray, stated, residual, points.ray, used, count)[0]
@@ -122,6 +127,7 @@ def adjusted_rays(marks: Adjusted, points: DotPoints, count: int) -> FoundRays:
         normal = information + np.einsum("nia,nij,njb->ab", apart, weight, apart, optimize=True)
         covariance = np.linalg.inv(normal)
         if step < _ROUNDS - 1:
+            # u's step is weighed from the marks' own place, so what was moved already counts
             right = np.einsum("nia,nij,nj->a", apart, weight, rest, optimize=True) - information @ total
             total = total + covariance @ right
             geometry = unknowns.moved(geometry, covariance @ right)
@@ -141,8 +147,10 @@ def rays_of(found: FoundRays, unknowns: Unknowns, stripes: int) -> tuple[Rays, d
     seen = np.isfinite(moves[:, 0, 0])
     weights = np.array([1.0, 1.0, _UP_MM, _UP_MM])
     alike = (moves[seen] * weights[:, None]).reshape(-1, moves.shape[2])
+    # at the belt and 30 mm up, so that places and slopes compare
     shared = np.linalg.svd(alike, full_matrices=False)[2][:_SHARED].T
     by_shared = moves @ shared
+    # beyond the shared directions: each ray's own
     left = moves - by_shared @ shared.T
     own = found.own + left @ left.transpose(0, 2, 1)
     by_parameter = np.zeros((len(found.lines), 4, at.size + _SHARED))
@@ -180,6 +188,7 @@ def _between_neighbours(lines: Floats, own: Floats, by_parameter: Floats) -> tup
     missing = [(place, _around(known, place)) for place in zip(*map(list, np.nonzero(~known)), strict=True)]
     if not asked or not missing:
         return lines, own, by_parameter
+    # each known ray from its neighbours: how far off tells the error of filling in
     off = np.array([weight @ lines[at] - lines[place] for place, at, weight in asked])
     lines, own, by_parameter = lines.copy(), own.copy(), by_parameter.copy()
     for place, found in missing:
@@ -200,6 +209,7 @@ def _around(known: Flags, place: tuple[int, int]) -> tuple[tuple[Integers, Integ
         return None
     x, y = across[near].astype(np.float64), down[near].astype(np.float64)
     powers = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    # the first coefficient is the value at the place itself, as weights of the neighbours
     weight: Floats = np.asarray(np.linalg.pinv(powers)[0], np.float64)
     # at a corner they say less of the ray than one seen on a few boards would
     return ((column[near], line[near]), weight) if weight @ weight < _LEVERAGE_MAX else None
@@ -223,6 +233,7 @@ def view_of(
     there = np.isfinite(points).all(axis=2, keepdims=True)
     middle = points.sum(axis=1, keepdims=True, where=there) / np.maximum(there.sum(axis=1, keepdims=True), 1)
     off = np.nan_to_num(points - middle)
+    # smallest eigenvector: the normal of the plane through the column's points
     normal = np.linalg.eigh(off.transpose(0, 2, 1) @ off)[1][:, :, 0]
     normal *= np.where(normal[:, :1] >= 0.0, 1.0, -1.0)
     planes = np.column_stack([normal, (normal * middle[:, 0]).sum(axis=1)])
@@ -247,6 +258,7 @@ def rest_lines(view: View, lines: Floats) -> tuple[Floats, Floats]:
     for column, mine in enumerate(lines):
         mine = mine[np.isfinite(mine[:, 0])]
         low, high = (view.project(at_height(mine, z)) for z in (0.0, 1.0))
+        # rows from −1 to 1; the division below brings px back
         powers = ((low[:, 1:] - half) / half) ** np.arange(_REST_DEGREE + 1)
         found[column] = np.linalg.lstsq(powers, low[:, 0], rcond=None)[0] / half ** np.arange(
             _REST_DEGREE + 1
@@ -351,6 +363,7 @@ def _predicted(geometry: Geometry, lines: Floats, points: DotPoints) -> Floats:
     """Give (n, 2) where rays (ray, 4) meet the surfaces, px."""
     pose = belt_pose(geometry.belt)
     mine = lines[points.ray]
+    # from the belt's frame back to the camera's
     start = (at_height(mine, 0.0) - pose[:3, 3]) @ pose[:3, :3]
     way = np.column_stack([mine[:, 2:], np.ones(len(mine))]) @ pose[:3, :3]
     surface = surface_of(geometry, points.pose)
@@ -401,6 +414,7 @@ def _lines_through(geometry: Geometry, points: DotPoints, used: Flags, count: in
     x, y, z = place.T
     n, sz, szz = summed(np.ones_like(z)), summed(z), summed(z * z)
     with np.errstate(divide="ignore", invalid="ignore"):
+        # least squares of x and y over z, ray by ray, in sums
         below = n * szz - sz * sz
         slopes = [(n * summed(v * z) - summed(v) * sz) / below for v in (x, y)]
         on_belt = [(summed(v) - slope * sz) / n for v, slope in zip((x, y), slopes, strict=True)]
@@ -425,6 +439,7 @@ def _eliminated(
     np.add.at(right, ray[usable], np.einsum("naj,nj->na", pull, residual)[usable])
     sound = np.linalg.cond(normal + 0.0) < 1e14
     sound &= np.abs(normal).max(axis=(1, 2)) > 0.0
+    # rays whose equations are singular stay NaN
     covariance = np.full((count, 4, 4), np.nan)
     covariance[sound] = np.linalg.inv(normal[sound])
     step = np.einsum("nab,nb->na", covariance, right)
@@ -432,6 +447,7 @@ def _eliminated(
         return step, covariance, np.empty(0)
     follow = np.zeros((count, 4, by_unknown.shape[2]))
     np.add.at(follow, ray[usable], (pull @ by_unknown)[usable])
+    # a ray's answer to u: −N⁻¹ Jᵀ W J_u
     return step, covariance, -covariance @ follow
 
 

@@ -112,6 +112,7 @@ def assigned(
     extent within its rim; of more than `points_max` peaks every so many-th is taken.
     """
     every = sum(view.stripe.size for view in [*bare, *views])
+    # rounded up: at most so many points
     step = max(1, -(-every // points_max))
     points, edges, kept = [], [], 0
     for view in bare:
@@ -125,6 +126,7 @@ def assigned(
         kept += int((face != _NOWHERE).sum())
         points.append(_rows(view, pose, number, face)[use])
         edges += [(pose, number, *end) for end in _ends(view, face, xyz[:, 1], shape)]
+        # so loose that only a solid that leaves the image feels it
         middle = (0.5 * (image_size[1] - 1), 0.5 * (image_size[0] - 1))
         edges.append((pose, number, shape.top, -1, *middle, _SOMEWHERE_SHARE * image_size[1]))
     table = np.concatenate(points)[::step]
@@ -171,6 +173,7 @@ def _faces(xyz: Floats, shape: Shape, off_mm: float, rim_mm: float) -> tuple[Int
     face = np.full(len(xyz), _NOWHERE)
     core = np.zeros(len(xyz), np.bool_)
     away = footprint(shape, xyz[:, :2])
+    # belt beside the solid, up to the rim of its footprint
     on_belt = (np.abs(xyz[:, 2]) <= off_mm) & (away < rim_mm)
     face[on_belt], core[on_belt] = _BELT, (away < -rim_mm)[on_belt]
     for number, one in enumerate(shape.faces):
@@ -197,9 +200,11 @@ def _ends(view: Numbered, face: Integers, y_mm: Floats, shape: Shape) -> list[tu
                 beyond = end - inwards
                 if not 0 <= beyond < row.size or abs(row[end] - row[beyond]) > _GAP_ROWS_MAX:
                     continue
+                # which of the two walls is nearer
                 side = int(y_mm[mine[end]] > 0.5 * (one.walls[0, 3] + one.walls[1, 3]))
                 if not one.ends[side]:
                     continue
+                # half way to the next row, along the stripe's slope
                 half = 0.5 * (row[beyond] - row[end])
                 at_x = x[end] + abs(half) * (x[end] - x[end + inwards])
                 found.append((number, side, at_x, row[end] + half, _EDGE_PX))
@@ -265,6 +270,7 @@ def from_solids(
     solids = [solid for _, solid in given]
     fits: list[_Fit] = []
     refusals: list[CalibrationError] = []
+    # of the solid that tells most ways round apart
     for turn_deg in max((shape_of(solid).turns_deg for solid in solids), key=len):
         try:
             fits.append(_fitted(boards, free_camera, belt, bare, views, solids, turn_deg, observed))
@@ -276,6 +282,7 @@ def from_solids(
     _check_belt(fit.adjusted)
     longer = []
     for number, solid in enumerate(solids):
+        # a tolerance is a half-width: rectangular
         for made in toleranced(solid, solid.tolerance_mm / np.sqrt(3.0)):
             other = [*solids[:number], made, *solids[number + 1 :]]
             points, edges = fit.assigned.placed([shape_of(one) for one in other])
@@ -335,6 +342,7 @@ def _fitted(
         measured = resting(boards, free_camera, geometry, points, under, first_pose, edges)
         if last:
             break
+        # robustly between the rounds; only the last is adjusted to the end
         geometry = measured.robust_prefit()
     return _Fit(measured, measured.adjusted(), found)
 

@@ -194,6 +194,7 @@ class Unknowns:
             planes=geometry.planes + _part(step, self.planes),
             belt=geometry.belt + _part(step, self.belt),
             travel=geometry.travel + _part(step, self.travel),
+            # turned from the left: about the camera's axes
             rotation=turned(_part(step, self.poses[:, :3])) @ geometry.rotation,
             shift=geometry.shift + _part(step, self.poses[:, 3:]),
             warp=warp,
@@ -222,6 +223,7 @@ def unknowns_of(
         """Give the free ones the next numbers, in their order; −1 to the others."""
         nonlocal start
         flat = np.ravel(free)
+        # numbers go on from part to part
         numbers = np.where(flat, start + np.cumsum(flat) - 1, -1)
         start += int(flat.sum())
         return numbers.reshape(np.shape(free)).astype(np.int64)
@@ -258,9 +260,8 @@ def _part(step: Floats, at: Integers) -> Floats:
     return np.where(at >= 0, step[np.maximum(at, 0)], 0.0)
 
 
-_WARP_ROUNDS = (
-    3  # of meeting a ray with a warped board: each divides the error by the warp's slope, some 0.01
-)
+_WARP_ROUNDS = 3
+"""Of meeting a ray with a warped board: each divides the error by the warp's slope, some 0.01."""
 
 ON_BELT = -1
 """Pose of stripe points that lie on the bare belt."""
@@ -325,12 +326,14 @@ class Rows(NamedTuple):
 
 def corner_rows(geometry: Geometry, unknowns: Unknowns, corners: Corners) -> Rows:
     """Give predicted − seen, px: for each mark a row for x and one for y, in turn."""
+    # arm: from the board's origin, in the camera's axes; at: in the camera's frame
     arm, at = _placed(geometry, corners.pose, _on_print(geometry, corners), corners.counts)
     depth = at[:, 2]
     xy = at[:, :2] / depth[:, None]
     lens = distort(xy, geometry.camera[4:])
     focal, middle = geometry.camera[:2], geometry.camera[2:4]
     residual = lens.xy * focal + middle - corners.xy_px
+    # chain: place in space, on the plane at distance 1, distorted, px
     by_at = np.zeros((depth.size, 2, 3))
     by_at[:, :, :2] = lens.by_place / depth[:, None, None]
     by_at[:, :, 2] = -(lens.by_place @ xy[:, :, None])[:, :, 0] / depth[:, None]
@@ -339,18 +342,21 @@ def corner_rows(geometry: Geometry, unknowns: Unknowns, corners: Corners) -> Row
     values[:, 0, 0], values[:, 1, 1] = lens.xy[:, 0], lens.xy[:, 1]
     values[:, 0, 2] = values[:, 1, 3] = 1.0
     values[:, :, 4:CAMERA] = lens.by_coefficient * focal[:, None]
+    # a turn by w moves a point by w × arm
     values[:, :, CAMERA : CAMERA + 3] = crossed(arm[:, None, :], by_at)
     values[:, :, CAMERA + 3 : CAMERA + 6] = by_at
     values[:, :, CAMERA + 6 :] = by_at * corners.counts[:, None, None]
     columns = columns_of(unknowns.camera, unknowns.poses[corners.pose], unknowns.travel)
     rows = Rows(residual.ravel(), np.repeat(columns, 2, axis=0), values.reshape(-1, CAMERA + 9))
     if unknowns.warp.size and geometry.warp is not None:
+        # heights of the print are along the board's normal
         away = (by_at @ geometry.rotation[corners.pose][:, :, 2:]).reshape(-1, 1)
         by_warp = np.repeat(geometry.warp.by_coefficient(corners.board_mm[:, :2]), 2, axis=0)
         rows = _with_more(rows, unknowns.warp, away * by_warp)
     if unknowns.prints.size:
         place = _on_print(geometry, corners)[:, :2]
         by_place = by_at @ geometry.rotation[corners.pose][:, :, :2]
+        # sizes are logarithms: the derivative by one is the place itself
         by_print = np.stack([(by_place * place[:, None, :]).sum(axis=2), by_place[:, :, 1] * place[:, 1:]], 2)
         rows = _with_more(rows, np.repeat(unknowns.prints[corners.board], 2, axis=0), by_print.reshape(-1, 2))
     return rows
@@ -366,6 +372,7 @@ def corner_residuals(geometry: Geometry, corners: Corners) -> Floats:
 def stripe_rows(geometry: Geometry, unknowns: Unknowns, points: StripePoints) -> Rows:
     """Give seen − predicted along the image row, px; derivatives are taken at the predicted place."""
     where = _Lines(geometry, points)
+    # one Newton step along the row, and a second one from there
     way = where.way_px(points.x_px)[0]
     more, seen, lens, ray, by_seen, slope = where.way_px(points.x_px - way)
     values = np.zeros((way.size, CAMERA + 15))
@@ -376,6 +383,7 @@ def stripe_rows(geometry: Geometry, unknowns: Unknowns, points: StripePoints) ->
     values[:, CAMERA : CAMERA + 3] = np.where(board, turn, 0.0)
     values[:, CAMERA + 3 : CAMERA + 6] = np.where(board, of_plane * where.normal, 0.0)
     values[:, CAMERA + 6 : CAMERA + 9] = values[:, CAMERA + 3 : CAMERA + 6] * points.counts[:, None]
+    # planes and belt enter the line linearly
     values[:, CAMERA + 9 : CAMERA + 12] = ray * np.where(where.on_belt, 1.0, where.distance)[:, None]
     values[:, CAMERA + 12 :] = np.where(board, 0.0, -ray)
     poses = np.full((way.size, 6), -1)
@@ -383,6 +391,7 @@ def stripe_rows(geometry: Geometry, unknowns: Unknowns, points: StripePoints) ->
         poses = np.where(board, unknowns.poses[np.maximum(points.pose, 0)], -1)
     own = columns_of(unknowns.camera, poses, unknowns.travel)
     columns = np.column_stack([own, unknowns.planes[points.stripe], np.where(board, -1, unknowns.belt)])
+    # from the line's left side to px along the row
     values /= slope[:, None]
     rows = Rows(way + more, columns, values)
     if unknowns.warp.size and where.by_warp is not None:
@@ -447,6 +456,7 @@ class _Lines:
         rotation, place = geometry.rotation[points.pose[on]], self.place[on]
         ray = rays(self._camera, points.xy_px[on])
         normal, distance = self.normal[on], self.distance[on]
+        # the plane that touches moves with the place where the ray meets it: a few rounds
         for _ in range(_WARP_ROUNDS):
             at = ray * (distance / (normal * ray).sum(axis=1))[:, None]
             there = ((at - place)[:, None, :] @ rotation)[:, 0, :2]
@@ -465,6 +475,7 @@ class _Lines:
         seen = (np.column_stack([x_px, self._row_px]) - self._camera[2:4]) / focal
         xy = undistort(seen, self._camera[4:], self._straight)
         lens = distort(xy, self._camera[4:])
+        # the next search for the straight place starts at the last one
         self._straight = xy
         ray = np.column_stack([xy, np.ones(len(xy))])
         by_seen = by_distorted(self._line, lens)
@@ -474,6 +485,7 @@ class _Lines:
 
 def by_distorted(line: Floats, lens: Distorted) -> Floats:
     """Give (n, 2) the derivatives of line·ray by the ray's place in the distorted image; line is (n, 3)."""
+    # inverse of a 2 × 2 matrix
     a, b, c, d = (lens.by_place[:, i, j] for i in (0, 1) for j in (0, 1))
     area = a * d - b * c
     u, v = line[:, 0] / area, line[:, 1] / area
@@ -502,6 +514,7 @@ def _on_print(geometry: Geometry, corners: Corners) -> Floats:
     """Give (mark, 3) places on the board as it is, mm."""
     if geometry.prints.size:
         size = np.exp(geometry.prints[corners.board])
+        # the second number is of y over x
         way = np.column_stack([size[:, 0], size[:, 0] * size[:, 1], np.ones(len(size))])
         return np.asarray(corners.board_mm * way)
     if geometry.warp is None:
@@ -573,6 +586,7 @@ def edge_rows(geometry: Geometry, unknowns: Unknowns, edges: Edges) -> Rows:
     by_seen = by_distorted(line, lens)
     slope = np.sqrt(((by_seen / focal) ** 2).sum(axis=1))
     on_face, on_wall = (face * ray).sum(axis=1)[:, None], (wall * ray).sum(axis=1)[:, None]
+    # derivatives of the line's left side by turn and shift of the solid
     by_turn = (
         crossed(face, shift) * on_wall
         + to_face[:, None] * crossed(wall, ray)

@@ -18,6 +18,9 @@ point becomes (c_y, W − 1 − c_x), tangential distortion (p₁, p₂) becomes
 camera's frame (p_y, −p_x, p_z). So a calibration of the turned image says the same in other words, and each
 peak's undistorted ray meets its own plane of light (Hartley and Zisserman 2004, chapter 6) in the one belt
 frame: `PinholeGrid`.
+
+It assumes that camera and projector stood still, as both families must find one camera. It fails where either
+family alone cannot be calibrated.
 """
 
 from __future__ import annotations
@@ -113,6 +116,7 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
     turning = _turning(across.stripe_count, columns)
     back = turning[:, :-1]
     one = FamilyFound.of(flat(upright.parameters), upright.covariance, upright.stripe_count)
+    # back to the image's own parameters, which is linear
     other = FamilyFound.of(
         back @ flat(across.parameters) + turning[:, -1],
         back @ across.covariance @ back.T,
@@ -129,6 +133,7 @@ def _joined(upright: Calibration, across: Calibration) -> Calibration:
     whole = follow @ covariance @ follow.T
     for first, found in ((12, one), (15 + one.planes.size, other)):
         own = np.s_[first : first + found.planes.size]
+        # what is left of each family's planes where the shared is known
         whole[own, own] += found.own
     planes = [found.planes + found.gain @ (shared - found.shared) for found in (one, other)]
     parameters = {
@@ -182,6 +187,7 @@ class FamilyFound(NamedTuple):
         """
         apart = self.shared - other.shared
         surely = inverse_of_known(self.covariance + other.covariance)
+        # numbers that were held fixed count nothing
         off = float(np.sqrt(max(apart @ surely @ apart, 0.0) / max(np.linalg.matrix_rank(surely), 1)))
         weights = 0.5 * inverse_of_known(self.covariance), 0.5 * inverse_of_known(other.covariance)
         covariance = inverse_of_known(weights[0] + weights[1])
@@ -203,6 +209,7 @@ def _turning(lines: int, columns: int) -> Floats:
     """Give (n, n + 1) what takes the turned image's parameters to those of the image, and adds."""
     size = 15 + 3 * lines
     found = np.zeros((size, size + 1))
+    # focal lengths change places; the principal point turns with the image
     found[[0, 1, 3], [1, 0, 2]] = 1.0
     found[2, 3], found[2, -1] = -1.0, columns - 1.0
     found[range(4, 12), range(4, 12)] = 1.0
@@ -222,6 +229,7 @@ def _of_lines_across(covariance: Floats, stripes: int, columns: int) -> Floats:
 
 def inverse_of_known(matrix: Floats) -> Floats:
     """Give the inverse of what is not 0 of a covariance or its inverse: 0 is what was held fixed."""
+    # in units of their deviations: px and 1/mm differ by orders
     size = np.sqrt(np.diag(matrix))
     scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
     inverse = np.linalg.pinv(scale[:, None] * matrix * scale, rcond=1e-10, hermitian=True)
@@ -290,6 +298,7 @@ class PinholeGrid(Triangulator[StageOptions]):
                 np.ascontiguousarray(pose[:3, :3] @ TURN.T), pose[:3, 3],
             ),
         ]  # fmt: skip
+        # slices of rows and of columns in one array: the shorter are filled up
         longest = max(rows, columns)
 
         def joined(one: Any, two: Any, nothing: float) -> Any:
@@ -300,6 +309,7 @@ class PinholeGrid(Triangulator[StageOptions]):
         xyz_mm = joined(lifted[0][0], lifted[1][0], np.nan)
         known = np.isfinite(xyz_mm[..., 0])
         row = np.broadcast_to(np.arange(rows, dtype=np.float64), stripes.x_px.shape)
+        # a row of the turned image is a column counted from the right
         x_px = np.broadcast_to(columns - 1.0 - np.arange(columns), across.x_px.shape)
         planes = np.concatenate([parameters["planes_per_mm"], parameters[ACROSS]])
         return Profiles(

@@ -95,6 +95,7 @@ def initial_camera(
             )
         if not views and known is not None:
             return InitialCamera(known, [], np.empty((0, 3, 3)), np.empty((0, 3)))
+        # one view at a time, the worst: it may spoil the others' fit
         found = _solved(views, image_size, lens, known)
         rms = _rms(found)
         worst = int(rms.argmax())
@@ -107,6 +108,7 @@ def initial_camera(
         )
         del views[worst]
     if any(view.marks.radius_mm for view in found.views):
+        # twice: the shift moves the poses, and they the shift
         for _ in range(2):
             centred = [_without_shift(view, found, number) for number, view in enumerate(views)]
             found = replace(_solved(centred, image_size, lens, known), views=centred)
@@ -163,12 +165,14 @@ def _solved(
 def _without_shift(view: BoardView, found: InitialCamera, number: int) -> BoardView:
     """Take off how far a circle's centre of gravity in the image lies from the image of its centre."""
     marks = view.marks
+    # six rings of equal area, 24 directions
     radius, turn = np.meshgrid(np.sqrt((np.arange(6) + 0.5) / 6.0), np.arange(24) * np.pi / 12.0)
     disc = marks.radius_mm * np.stack([radius * np.cos(turn), radius * np.sin(turn), 0.0 * turn], axis=-1)
     shape = (len(marks.board_mm), disc.size // 3, 3)
     places = np.broadcast_to(marks.board_mm[:, None, :], shape) + disc.reshape(1, -1, 3)
     seen, weight = _projected(found, number, places.reshape(-1, 3))
     seen, weight = seen.reshape(*shape[:2], 2), weight.reshape(shape[:2])
+    # each part by how large it is seen
     centre = (seen * weight[..., None]).sum(axis=1) / weight.sum(axis=1)[:, None]
     shift = centre - _projected(found, number, marks.board_mm)[0]
     raw = view.raw_px if view.raw_px is not None else marks.xy_px
@@ -179,6 +183,7 @@ def _projected(found: InitialCamera, number: int, places: Floats) -> tuple[Float
     """Give (n, 2) places in the image, px, and how large a unit of the board's area is there."""
     at = places @ found.rotation[number].T + found.shift[number]
     lens = distort(at[:, :2] / at[:, 2:], found.camera[4:])
+    # area: determinant of the lens over the depth cubed
     area = np.linalg.det(lens.by_place) / at[:, 2] ** 3
     return lens.xy * found.camera[:2] + found.camera[2:4], area
 

@@ -72,6 +72,7 @@ def with_known_planes(observed: CalibrationSet, camera: Floats | None, planes: F
     hint = "are they in the camera's frame, in mm, from left to right, and is `planes_form` right?"
     if belt[2] <= 0:
         raise CalibrationError("by the known planes the belt is behind the camera", hint=hint)
+    # camera and planes are held: the belt alone is looked for
     off_px = float(np.median(np.abs(measured.adjusted().stripe_px)))
     if off_px > _OFF_MAX_PX:
         raise CalibrationError(
@@ -91,11 +92,13 @@ def known_planes_covariance(
     on it meet. Gives (3 stripe + 3, 3 stripe + 3) of `planes_per_mm` and `belt_per_mm`, flattened.
     """
     before, points = found.geometry, measured.points
+    # where the belt comes out with the planes as given
     mean = np.concatenate([before.planes.ravel(), measured.step_of(found)[0].belt])
     covariance = np.zeros((mean.size, mean.size))
     for stripe, plane in enumerate(before.planes):
         mine = points.stripe == stripe
         ray = rays(before.camera, np.array([[points.x_px[mine].mean(), points.row_px[mine].mean()]]))[0]
+        # the middle of the stripe on the belt, about which the plane leans
         place = ray / (ray @ before.belt)
         middle = place - (plane @ place - 1.0) / (plane @ plane) * plane
         normal = plane / np.sqrt(plane @ plane)
@@ -103,11 +106,13 @@ def known_planes_covariance(
         one /= np.sqrt(one @ one)
         lean = [normal + np.radians(angle_std_deg) * way for way in (one, np.cross(normal, one))]
         shifted = normal / (normal @ middle + offset_std_mm)
+        # p = n / (n·middle): the leaned plane goes through the same middle
         for moved in (*(way / (way @ middle) for way in lean), shifted):
             planes = before.planes.copy()
             planes[stripe] = moved
             there = replace(found, geometry=replace(before, planes=planes))
             way = np.concatenate([planes.ravel(), measured.step_of(there)[0].belt]) - mean
+            # each of the three errors by itself, independent of the others
             covariance += np.outer(way, way)
     return covariance
 
@@ -183,6 +188,7 @@ def adjust_jointly(
         raise CalibrationError("there is no image of the board", hint="name them in images.board")
     size = observed.observations[0].frame.size
     free = np.zeros(CAMERA, np.bool_) if known is not None else free_numbers(lens)
+    # until no view is left out any more
     while True:
         first = initial_camera(seen, size, lens, known, tried, **({"least_if_known": 0} if by_solids else {}))
         if reference_pose is not None and not any(view.on_belt for view in first.views):
@@ -205,6 +211,7 @@ def adjust_jointly(
         if not gathered.outlying_views:
             break
         outlying = {first.views[number].name for number in gathered.outlying_views}
+        # a view whose stripes contradict the others takes its marks along
         seen.views = [view for view in seen.views if view.name not in outlying]
     measured = _measured(first, gathered, pose, counts, free, fit_warp=fit_warp)
     adjusted = with_disagreement(measured, measured.adjusted())
@@ -254,6 +261,7 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
     at = found.unknowns.camera
     std = np.where(at >= 0, np.sqrt(np.diag(found.covariance)[np.maximum(at, 0)]), 0.0)
     if count >= 2 * _PARTS:
+        # runs of consecutive images: what errs together is taken together
         part = np.arange(count) * _PARTS // count
         cameras = []
         for left_out in range(_PARTS):
@@ -261,6 +269,7 @@ def camera_alone(observed: CalibrationSet, *, lens: str) -> CameraFit:
             views = [view for view, stays in zip(first.views, kept, strict=True) if stays]
             some = InitialCamera(first.camera, views, first.rotation[kept], first.shift[kept])
             cameras.append(boards_alone(some, free).adjusted().geometry.camera)
+        # jackknife: √(k − 1) times the spread of k estimates
         std = np.maximum(std, np.std(cameras, axis=0) * np.sqrt(_PARTS - 1.0))
     off_px = found.corner_px[found.corner_used]
     return CameraFit(
@@ -324,6 +333,7 @@ def _on_reference(seen: Seen, pose: str) -> None:
             hint="leave reference_pose out, or images.board_on_belt",
         )
     there_on = seen.views[there[0]]
+    # heights count from its print: the thickness is nothing
     flat = replace(there_on.board, thickness_mm=0.0)
     seen.views[there[0]] = replace(there_on, on_belt=True, board=flat)
 
@@ -374,6 +384,7 @@ def _measured(
     first: InitialCamera, gathered: Gathered, pose: Integers, counts: Floats, free: Flags, *, fit_warp: bool
 ) -> Measured:
     keep = np.unique(pose)
+    # poses that were merged get numbers without gaps
     number = np.searchsorted(keep, pose)
     on = gathered.points.pose
     boards = np.array([view.number for view in first.views])
@@ -389,6 +400,7 @@ def _measured(
         looked_for[np.unique(boards[on[on >= 0]]), 0] = True
         looked_for[0] = False
         sizes[: len(gathered.sizes), 0] = np.log(gathered.sizes)
+        # a larger print stands farther away
         first = replace(first, shift=first.shift * np.exp(sizes[boards, :1]))
     start = Geometry(
         first.camera,

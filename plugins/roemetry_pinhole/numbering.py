@@ -117,6 +117,7 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
     kept = [pose for pose in poses if pose.count]
     left_out: dict[str, str] = {}
     shows_all = belt is not None and belt.count == stripes
+    # one pose at a time: without it the planes of the others may change
     while True:
         every = [*kept, *([belt] if belt is not None and belt.count else [])]
         planes, numbers = planes_of(every, belt_shows_all=shows_all)
@@ -125,6 +126,7 @@ def number_stripes(poses: Sequence[PoseLines], stripes: int, belt: PoseLines | N
             break
         usual = float(np.median([pose.weight.sum() for pose in kept]))
         few = min(_FEW, stripes - 1)  # a pose that shows all of one or two stripes hides nothing
+        # too little is seen to blame the pose
         hidden = moved.count <= few or moved.weight.sum() < _FEW_SHARE * usual
         left_out[moved.name] = _HIDDEN if hidden else _MOVED
         kept = [pose for pose in kept if pose is not moved]
@@ -178,6 +180,7 @@ def planes_of(poses: list[PoseLines], *, belt_shows_all: bool) -> tuple[Floats, 
             planes = _fitted(poses, numbers, len(planes))
             planes = planes[np.isfinite(planes).all(axis=1)]
             planes = _in_order(poses, planes, spacing)
+            # only ever narrower
             tolerance = min(tolerance, _tolerance(poses, planes, spacing))
         numbers = [_nearest(pose, planes, tolerance) for pose in poses]
         plane = np.arange(len(planes))
@@ -213,11 +216,13 @@ def _pose_off(poses: list[PoseLines], planes: Floats, numbers: list[Integers]) -
         float(pose.weight[mine >= 0].sum() / max(pose.weight.sum(), 1.0))
         for pose, mine in zip(poses, numbers, strict=False)
     ]
+    # hardly any of its peaks lie on planes
     if min(share) < _POSE_SHARE_MIN:
         return poses[int(np.argmin(share))]
     off = np.full(len(poses), np.nan)
     for one, pose in enumerate(poses):
         others = [at for at in range(len(poses)) if at != one]
+        # planes without this pose, or its own lines would pull them
         without = _fitted([poses[at] for at in others], [numbers[at] for at in others], len(planes))
         on = np.flatnonzero(numbers[one] >= 0)
         own = distances(pose, without)[on, numbers[one][on]]
@@ -237,6 +242,7 @@ def _best_pairing(poses: list[PoseLines], free: list[Flags], tolerance: float, b
     """
     lines = [pose.ends_mm[use] for pose, use in zip(poses, free, strict=True)]
     light = [float(pose.weight[use].sum()) for pose, use in zip(poses, free, strict=True)]
+    # with most light first
     bases = [
         int(one) for one in np.argsort(-np.array(light), kind="stable")[:bases_max] if light[int(one)] > 0
     ]
@@ -255,10 +261,12 @@ def _best_pairing(poses: list[PoseLines], free: list[Flags], tolerance: float, b
 def _votes(lines: list[Floats], base: int, other: int, tolerance: float) -> tuple[Floats, Floats]:
     """Give the planes (i, j, 3) through each line of one pose and each of another, and their votes (i, j)."""
     one, two = lines[base], lines[other]
+    # normal equations of both lines' ends add up
     square = np.einsum("lei,lej->lij", one, one)[:, None] + np.einsum("lei,lej->lij", two, two)[None]
     planes = _solved(square, one.sum(axis=1)[:, None] + two.sum(axis=1)[None])
     off = np.maximum(_off_mm(one, planes, "iek,ijk->ije"), _off_mm(two, planes, "jek,ijk->ije"))
     votes = _OWN_VOTE * _vote(off, tolerance)
+    # only planes that their own two lines fit are voted on: that saves time
     likely = votes > 0.0
     for pose in range(len(lines)):
         if pose not in (base, other) and len(lines[pose]):
@@ -291,6 +299,7 @@ def _ordered_pairs(votes: Floats) -> tuple[float, Integers]:
     """Give the largest sum of votes (i, j) along a path on which both grow, and the (pair, 2) on it."""
     total = np.zeros(np.add(votes.shape, 1))
     for i, row in enumerate(votes):
+        # skip a line of either pose, or pair both
         total[i + 1, 1:] = np.maximum.accumulate(np.maximum(total[i, 1:], total[i, :-1] + row))
     pairs = []
     i, j = votes.shape
@@ -313,6 +322,7 @@ def _nearest(pose: PoseLines, planes: Floats, tolerance: float) -> Integers:
     off = np.where(np.isfinite(off), off, np.inf)
     numbers, best = off.argmin(axis=1), off.min(axis=1)
     numbers = np.where(best <= tolerance, numbers, -1)
+    # a stripe is seen once in a pose: of several lines the nearest
     for number in np.unique(numbers[numbers >= 0]):
         same = np.flatnonzero(numbers == number)
         numbers[same[best[same] > best[same].min()]] = -1
@@ -350,10 +360,12 @@ def _in_order(poses: list[PoseLines], planes: Floats, spacing: float) -> Floats:
     with np.errstate(divide="ignore"):
         x = (1.0 - planes[:, 1:] @ at.T) / planes[:, :1]
     kept: list[int] = []
+    # the best supported first: it decides who is dropped
     for plane in np.argsort(-support, kind="stable").tolist():
         if support[plane] <= 0 or not np.isfinite(x[plane]).all():
             continue
         apart = x[kept] - x[plane]
+        # left of another at one corner of the volume, right of it at another: they cross
         crosses = apart.min(axis=1, initial=np.inf) * apart.max(axis=1, initial=-np.inf) < 0.0
         near = np.abs(apart).mean(axis=1) < _APART_SHARE * spacing if kept else crosses
         if not (crosses | near).any():
@@ -447,6 +459,7 @@ def spacing_mm(poses: Sequence[PoseLines]) -> float:
         middle, along = pose.ends_mm.mean(axis=1), pose.ends_mm[:, 1] - pose.ends_mm[:, 0]
         along = along.mean(axis=0) / np.sqrt((along.mean(axis=0) ** 2).sum())
         apart = np.diff(middle, axis=0)
+        # across the lines' direction only
         apart -= (apart @ along)[:, None] * along
         gaps.append(np.sqrt((apart**2).sum(axis=1)))
     depth = float(np.mean([pose.ends_mm[:, :, 2].mean() for pose in poses]))

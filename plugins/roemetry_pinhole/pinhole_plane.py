@@ -7,6 +7,8 @@ belt. Rest lines are where planes of light and belt meet, as polynomials in the 
 
 A peak's noise moves its point along the plane of light; the calibration's own errors move all points
 together. No point is given where the lens folds the image over.
+
+It fails where a ray runs along its plane of light: depth is then 1/0, and noise grows without bounds before.
 """
 
 from __future__ import annotations
@@ -90,6 +92,7 @@ def planes_in_belt_frame(planes: Floats, pose: Floats) -> Floats:
     """Give (stripe, 4) n, d with n·X = d, belt frame, mm, normals towards +X, from (stripe, 3) p·X = 1."""
     size = np.sqrt((planes**2).sum(axis=1))
     normal = (planes / size[:, None]) @ pose[:3, :3].T
+    # 1/|p| is the distance from the camera's centre
     distance = 1.0 / size + normal @ pose[:3, 3]
     sign = np.where(normal[:, 0] < 0, -1.0, 1.0)
     return np.column_stack([normal, distance]) * sign[:, None]
@@ -100,6 +103,7 @@ def points_of(parameters: Mapping[str, Floats], stripe: Integers, x_px: Floats, 
     ray = rays(camera_of(parameters), np.column_stack([x_px, row_px]))
     pose = belt_pose(parameters["belt_per_mm"])
     with np.errstate(divide="ignore"):
+        # X = ray / (p·ray)
         depth = 1.0 / (ray * parameters["planes_per_mm"][stripe]).sum(axis=1)
     return np.asarray((ray * depth[:, None]) @ pose[:3, :3].T + pose[:3, 3])
 
@@ -157,6 +161,7 @@ def covariance_of(covariance: Floats, unknowns: Unknowns, *, travel: bool) -> Fl
 def lines_at_height(parameters: Mapping[str, Floats], row_px: Floats, z_mm: float) -> Floats:
     """Give (stripe, row) where each stripe lies on a level z_mm above the belt, px; NaN outside the lens."""
     belt, planes = parameters["belt_per_mm"], parameters["planes_per_mm"]
+    # the belt moved up by z: b·X = 1 − z |b|
     level = belt / (1.0 - z_mm * np.sqrt(belt @ belt))
     camera = camera_of(parameters)
     geometry = Geometry(camera, np.empty((0, 3, 3)), np.empty((0, 3)), planes, level)
@@ -179,6 +184,7 @@ def rest_polynomials(parameters: Mapping[str, Floats], image_size: tuple[int, in
     """Give (stripe, coefficient) rest lines as polynomials in the row from the middle one, px."""
     rows = np.linspace(0.0, image_size[0] - 1.0, 65)
     lines = lines_at_height(parameters, rows, 0.0)
+    # far outside a polynomial would bend to what is not seen
     inside = (lines > -0.1 * image_size[1]) & (lines < 1.1 * image_size[1])
     half = max((image_size[0] - 1) / 2.0, 1.0)
     at = (rows - half) / half
@@ -193,6 +199,7 @@ def rest_polynomials(parameters: Mapping[str, Floats], image_size: tuple[int, in
                 continue
             found[stripe] = np.linalg.lstsq(powers[use], line[use], rcond=None)[0]
             worst = max(worst, float(np.abs(powers[use] @ found[stripe] - line[use]).max()))
+        # from shares of half the rows to px
         found /= half ** np.arange(degree + 1)
         if worst <= _REST_OFF_MAX_PX:
             break
@@ -203,6 +210,7 @@ def displacements(parameters: Mapping[str, Floats], image_size: tuple[int, int])
     """Give (stripe,) shift along +x per height at belt level in the middle row, px/mm."""
     middle = np.array([(image_size[0] - 1) / 2.0])
     step = 1e-3 / float(np.sqrt((parameters["belt_per_mm"] ** 2).sum()))
+    # central difference over a thousandth of the distance
     high, low = (lines_at_height(parameters, middle, z)[:, 0] for z in (step, -step))
     return np.asarray((high - low) / (2.0 * step))
 
@@ -315,6 +323,7 @@ def rotation_of(motion: Floats, focal_px: float) -> Floats:
     import cv2
 
     pan_px, roll, _, tilt = motion
+    # a pan is a turn about y by its px over the focal length
     return np.asarray(cv2.Rodrigues(np.array([tilt, pan_px / focal_px, roll]))[0], np.float64)
 
 
@@ -332,6 +341,7 @@ def shifts_per_px(parameters: Mapping[str, Floats], image_size: tuple[int, int])
         lines_at_height({**parameters, "planes_per_mm": planes * (1.0 + step)}, middle, 0.0)
         for step in (_PLANE_STEP, 0.0)
     )
+    # a plane's share, by how far a step of it moves the line
     return np.asarray(planes * _PLANE_STEP / (there - here))
 
 
@@ -396,12 +406,14 @@ def lift_stripes(
             x, y = bent_x, bent_y
             xx, xy, yy, determinant = 1.0, 0.0, 1.0, 1.0
             if distorts:
+                # Newton's start: the row above, moved on as it moved
                 if followed > 0:
                     x, y = x + off_x, y + off_y
                     if followed > 1:
                         x, y = x + gain_x, y + gain_y
                 x, y, xx, xy, yy, good = undistorted_place(bent_x, bent_y, x, y, lens, _STEP_END)
                 determinant = xx * yy - xy * xy
+                # the lens folds the image there: two places are seen at one pixel
                 if not (good and determinant > 0.0 and xx + yy > 0.0):
                     followed = 0
                     lost += 1

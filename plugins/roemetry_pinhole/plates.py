@@ -98,6 +98,7 @@ class Plate:
         alone = float(np.sqrt((way**2).sum() * (self.residual**2).mean()))
         group = np.unique(self.stripe * 10_000 + self.ball, return_inverse=True)[1]
         sums = np.bincount(group, way * self.residual)
+        # four numbers were fitted
         spare = max(sums.size - 4, 1)
         return max(alone, float(np.sqrt((sums**2).sum() * sums.size / spare)))
 
@@ -120,6 +121,7 @@ def find_plate(parameters: Mapping[str, Floats], peaks: Peaks, plate: SpherePlat
     if use.size < _POINTS_MIN:
         return None
     stripe, x_px, row_px = stripe[use], x_px[use], row_px[use]
+    # central difference over half a pixel
     up, down = (points_of(parameters, stripe, x_px + way, row_px) for way in (0.25, -0.25))
     near = _Near(stripe, x_px, row_px, at[use], (up - down) / 0.5)
     found = _fitted(near, plate, np.append(place_of(near.at_mm, plate, _TURN_MAX_DEG), 1.0))
@@ -157,6 +159,7 @@ def _fitted(near: _Near, plate: SpherePlate, pose: Floats) -> Plate | None:
     found = None
     for share in _ROUNDS:
         centre = centres(plate, pose)
+        # by X and Y: balls stand apart
         ball = ((near.at_mm[:, None, :2] - centre[None, :, :2]) ** 2).sum(axis=2).argmin(axis=1)
         off, out = off_balls(near.at_mm, ball, plate, pose)
         on = (np.abs(off) < share * radius) & (out[:, 2] > _CAP_RISE_MIN)
@@ -178,6 +181,7 @@ def _measured(near: _Near, ball: Integers, plate: SpherePlate, pose: Floats) -> 
     # a point that a pixel moves along the surface says nothing that could be weighed
     per_px = np.maximum(per_px, _ALONG_SHARE * float(np.median(per_px)))
     # derivatives of the distances from the balls by the pose
+    # about the plate's middle: (−y, x)
     own = centres(plate, pose)[ball] - [*pose[:2], 0.0]
     around = np.column_stack([-own[:, 1], own[:, 0], np.zeros(len(own))])
     by_size = -(out * own).sum(axis=1) / pose[3] - 0.5 * plate.diameter_mm
@@ -308,6 +312,7 @@ def from_plate(
                 hint="add images of the sphere plate with the plate moved across the stripes",
             )
         pose = belt_pose(geometry.belt)
+        # to the camera's frame
         turns = [pose[:3, :3].T @ one.turn for one in plates]
         places = [pose[:3, :3].T @ ([*one.pose[:2], 0.0] - pose[:3, 3]) for one in plates]
         start = replace(
@@ -337,6 +342,7 @@ def _start(boards: Geometry, lines: Floats, views: tuple[Observation, ...], plat
     """Try places of the projector; give the geometry by which most peaks lie on balls."""
     pose = belt_pose(boards.belt)
     away = float(pose[2, 3])
+    # rays of the line on the belt: (1, −slope, −start)·m = 0
     line = np.column_stack([np.ones(len(lines)), -lines[:, 1], -lines[:, 0]])
     some = [_thinned(view.peaks) for view in views[:: max(1, len(views) // _TRIED_VIEWS)]]
 
@@ -352,12 +358,14 @@ def _start(boards: Geometry, lines: Floats, views: tuple[Observation, ...], plat
         for angle in np.radians([*-_ANGLES_DEG, *_ANGLES_DEG]):
             high = share * away
             at = pose[:3, :3].T @ (np.array([high * np.tan(angle), 0.0, high]) - pose[:3, 3])
+            # through the line on the belt and the projector's place
             planes = boards.belt + line * ((1.0 - boards.belt @ at) / (line @ at))[:, None]
             geometry = replace(boards, planes=planes)
             tried.append((seen(geometry, some)[0], geometry))
     fits = []
     for _, geometry in sorted(tried, key=lambda one: -one[0])[:_TRIED]:
         points, off_mm = seen(geometry, [view.peaks for view in views])
+        # few mm off, and many points
         fits.append((off_mm / max(points, 1), geometry))
     return min(fits, key=lambda one: one[0])[1]
 
@@ -397,6 +405,7 @@ def _points(
         way = one.at_mm - centres(plate, one.pose)[one.ball]
         out = (way / np.sqrt((way**2).sum(axis=1))[:, None]) @ one.turn
         own = centres(lengths, np.array([0.0, 0.0, 0.0, 1.0]))[one.ball]
+        # the plane that touches: n·X = n·centre + radius
         faces.append(np.column_stack([out, (out * own).sum(axis=1) + 0.5 * lengths.diameter_mm]))
     pose, stripe, x_px, row_px, std_px = np.ascontiguousarray(np.concatenate(tables).T)
     whole = pose.astype(np.int64), stripe.astype(np.int64)

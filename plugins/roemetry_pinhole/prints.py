@@ -8,6 +8,9 @@ that checks the scale, as a block does.
 
 A stretched print (paper drawn through a printer) shows in boards that are tilted and turned in different
 ways: one more step of the adjustment, with each board's y apart from its x, tells by how much.
+
+It fails where the first board is seen in fewer than two poses, since its planes judge the others' sizes, and
+for prints that are off by more than a factor of e^0.3 (`_SIZE_MAX`).
 """
 
 from __future__ import annotations
@@ -60,6 +63,7 @@ def _likely(poses: Sequence[PoseLines], planes: Floats) -> Floats:
     found, weight = [], []
     for pose in poses:
         with np.errstate(divide="ignore", invalid="ignore"):
+            # p·X = 1 at the right size, so each end says 1/(p·X)
             size = -np.log(pose.ends_mm @ planes.T)  # (line, end, plane)
         at = size.mean(axis=1)
         good = (np.abs(size[:, 0] - size[:, 1]) < _ALIKE) & (np.abs(at) < _SIZE_MAX)
@@ -68,6 +72,7 @@ def _likely(poses: Sequence[PoseLines], planes: Floats) -> Floats:
     at, counts = np.concatenate(found), np.concatenate(weight)
     sizes: list[float] = []
     while at.size and len(sizes) < _TRIED:
+        # the size that most lines are near, by their light
         near = np.abs(at[:, None] - at) < 0.5 * _ALIKE
         best = float(np.median(at[near[(near @ counts).argmax()]]))
         sizes.append(best)
@@ -108,6 +113,7 @@ def stretched(measured: Measured, found: Adjusted, views: Sequence[BoardView]) -
     fx, fy = found.unknowns.camera[:2]
     way = np.zeros(len(found.covariance))
     way[[fx, fy]] = -1.0 / geometry.camera[0], 1.0 / geometry.camera[1]
+    # all boards alike: the camera takes the stretch
     if before > max(_STRETCH_STDS * float(np.sqrt(way @ found.covariance @ way)), _NOT_SQUARE):
         said.append(
             f"fx and fy differ by {before:.2%}, and pixels of nearly all cameras are square: is the print of "

@@ -50,6 +50,7 @@ def by_scale(parameters: Mapping[str, Floats]) -> Floats:
     """Give (n,) derivatives of the parameters by the logarithm of all lengths."""
     found = {name: np.zeros_like(array) for name, array in parameters.items()}
     for name in ("planes_per_mm", "belt_per_mm"):
+        # p and b are 1/mm: they shrink as lengths grow
         found[name] = -parameters[name]
     if "travel_mm_per_count" in parameters:
         found["travel_mm_per_count"] = parameters["travel_mm_per_count"]
@@ -95,15 +96,18 @@ def scaled_by_references(
         off = float(share @ np.log([one.ratio for one in found]))
         if abs(off) < _STILL:
             break
+        # the board grows until the mean ratio is 1
         joined = rescaled(joined, float(np.exp(-off)))
     covariance = calibration.covariance
     for one, other in combinations(found, 2):
+        # what both share of the calibration cancels in the difference
         apart = one.by_parameter - other.by_parameter
         std = float(np.sqrt(one.own_std**2 + other.own_std**2 + apart @ covariance @ apart))
         _check_alike(other.name, one.name, one.what, one.ratio / other.ratio, std, _CALLIPER)
     # all lengths follow −ln ratio, which depends on the parameters and on the references' own errors
     way, slope = by_scale(calibration.parameters), share @ np.array([one.by_parameter for one in found])
     own = float((share**2) @ np.array([one.own_std**2 for one in found]))
+    # errors in the direction of scale go; the references' own come in
     kept = np.eye(way.size) - np.outer(way, slope)
     std = float(np.sqrt(own + slope @ covariance @ slope))
     pitch_mm = float(calibration.target["pitch_mm"])
@@ -151,6 +155,7 @@ def rescaled(joined: JointAdjustment, factor: float) -> JointAdjustment:
         warp=warp,
     )
     corners, contacts = measured.corners, measured.contacts
+    # of the first board the marks themselves are enlarged
     size = np.where(corners.board == 0, factor, 1.0)[:, None]
     measured = replace(
         measured,
@@ -264,6 +269,7 @@ def references(
             notes.append(f"the {name} was not found in its images: it checks nothing")
             continue
         measured, stds, height = (np.array(column) for column in zip(*known, strict=True))
+        # rectangular tolerance beside the measured scatter
         weight = (np.hypot(stds, solid.tolerance_mm / np.sqrt(3.0)) / height) ** -2
         ratio = float((weight * measured / height).sum() / weight.sum())
         way = _height_by_parameter(calibration, float(height.max()))
@@ -289,6 +295,7 @@ def references(
         travel = calibration.parameters["travel_mm_per_count"]
         size = float(np.sqrt(travel @ travel))
         parts = {name: np.zeros_like(array) for name, array in calibration.parameters.items()}
+        # derivative of ln |t| by t
         way = flat({**parts, "travel_mm_per_count": travel / size**2})
         what = "the belt's way per encoder count"
         found.append(Reference("encoder", "encoder_ratio", what, size / known_mm, std_mm / known_mm, way))
@@ -318,6 +325,7 @@ def _height(calibration: Calibration, images: list[Peaks], height_mm: float) -> 
         row_px = peaks.row.astype(np.float64)
         at = points_of(calibration.parameters, stripe, peaks.x_px[peak], row_px[peak])
         z = at[:, 2].reshape(calibration.stripe_count, -1)
+        # what may be belt on any stripe is not used
         on_belt = (np.abs(z) < BELT_MM).any(axis=0)
         heights.append(z[:, ~on_belt].ravel())
     z = np.concatenate(heights)
@@ -325,6 +333,7 @@ def _height(calibration: Calibration, images: list[Peaks], height_mm: float) -> 
     z = z[np.abs(z - height_mm) < room]
     if z.size < _POINTS_MIN:
         return np.nan, np.nan
+    # heights of wrong stripes spread, those of the right one gather
     count, edge = np.histogram(z, np.arange(height_mm - room, height_mm + room + _STEP_MM, _STEP_MM))
     smooth = np.convolve(count, np.ones(3), "same")
     peak_mm = float(edge[smooth.argmax()]) + 0.5 * _STEP_MM
@@ -333,6 +342,7 @@ def _height(calibration: Calibration, images: list[Peaks], height_mm: float) -> 
         if near.size < _POINTS_MIN:
             return np.nan, np.nan
         peak_mm = float(near.mean())
+    # twelve parts: neighbours' noise hangs together
     batches = np.array([part.mean() for part in np.array_split(near, 12)])
     return peak_mm, float(batches.std(ddof=1) / np.sqrt(12.0))
 

@@ -115,9 +115,11 @@ def _level(length: float, low: float, high: float, height: float, ends: tuple[bo
 def inside(face: Face, xy_mm: Floats) -> Floats:
     """Give (point,) how far points lie inside a face's outline, mm; negative outside."""
     corners = face.corners_mm
+    # a counter-clockwise outline has its inside to the left
     along = np.roll(corners, -1, axis=0) - corners
     inwards = np.column_stack([-along[:, 1], along[:, 0]]) / np.hypot(*along.T)[:, None]
     off = (xy_mm[:, None, :] - corners) * inwards
+    # the nearest edge counts
     return np.asarray(off.sum(axis=2).min(axis=1))
 
 
@@ -206,6 +208,7 @@ def numbered(view: Observation, camera: Floats, stripes: int) -> Numbered:
             f"(most rows show {usual})",
             hint="check `stripes` and the extractor's threshold; every stripe must be seen on belt and solid",
         )
+    # from left to right in each row: the order is the number
     order = np.lexsort((peaks.x_px[whole], peaks.row[whole]))
     whole = whole[order]
     std = peaks.x_std_px[whole]
@@ -268,6 +271,7 @@ def start_of(
     high = {}
     for stripe, peaks in on.items():
         size = np.abs(off_px[peaks])
+        # nine tenths of the largest, so that strays do not say what is highest
         high[stripe] = peaks[size >= _PLATEAU_SHARE * float(np.quantile(size, 0.9))]
 
     def made(of_belt: Floats, stripes: list[int]) -> Start:
@@ -283,12 +287,14 @@ def start_of(
 
     if belt is None:
         spans = [float(np.ptp(np.quantile(view.ray[peaks, 1], [0.01, 0.99]))) for peaks in on.values()]
+        # extent over its angle, and the height at which it is seen
         distance = shape.along_mm / float(np.median(spans)) + shape.along_height_mm
         level = [np.array([0.0, 0.0, 1.0 / (factor * distance)]) for factor in _DISTANCES]
     else:
         level = [belt]
     stripes = list(high)
     if not shape.wide_top:
+        # of a pyramid only some stripes cross the top: neighbours that fit best
         groups = [[s for s in (at - 1, at, at + 1) if s in high] for at in high]
         if len(groups) > 1:
             stripes = min(groups, key=lambda group: best(level, group).off_mm)
@@ -308,11 +314,13 @@ def _start(
     top: dict[int, Integers],
     turn_deg: float,
 ) -> Start:
+    # the level h over the belt: b·X = 1 − h |b|
     level = belt / (1.0 - shape.height_mm * float(np.sqrt(belt @ belt)))
     planes = np.full((len(lines), 3), np.nan)
     y = np.array([view.ray[:, 1].min(), view.ray[:, 1].max()])
     for stripe, peaks in top.items():
         ends = np.column_stack([lines[stripe, 0] + lines[stripe, 1] * y, y, np.ones(2)])
+        # two points of the line on the belt, and the peaks on the top
         rays = np.vstack([ends, view.ray[peaks]])
         sides = np.concatenate([ends @ belt, view.ray[peaks] @ level])
         planes[stripe] = np.linalg.lstsq(rays, sides, rcond=None)[0]

@@ -85,6 +85,7 @@ def find_lines(peaks: Peaks, xy: Floats, use: Flags, focal_px: float) -> list[St
     order = np.argsort(fragment, kind="stable")
     parts = np.split(chosen[order], np.flatnonzero(np.diff(fragment[order])) + 1)
     lines: list[StripeLine] = []
+    # long pieces first: they point well
     for part in sorted(parts, key=len, reverse=True):
         if len(part) < _FRAGMENT_ROWS_MIN:
             break
@@ -131,6 +132,7 @@ def _merged(lines: list[StripeLine], xy: Floats, focal_px: float) -> list[Stripe
             both = np.concatenate([kept[-1].peak, line.peak])
             at = np.array([xy[both, 1].min(), xy[both, 1].max()])
             apart = line.start - kept[-1].start + (line.slope - kept[-1].slope) * at
+            # the nearest that they come within the rows of both
             if np.abs(apart).min() * focal_px < _JOIN_PX:
                 kept[-1] = _fitted(np.unique(both), xy, focal_px)
                 continue
@@ -151,6 +153,7 @@ def _fitted(part: Integers, xy: Floats, focal_px: float) -> StripeLine:
         slope = float((weight * (y - mean_y) * (x - mean_x)).sum() / max(spread, 1e-30))
         start = float(mean_x - slope * mean_y)
         off = np.abs(x - start - slope * y) * focal_px
+        # weights 1/|r|: least absolute deviations by least squares
         weight = 1.0 / np.maximum(off, 0.2)
     return StripeLine(start, slope, part)
 
@@ -159,6 +162,7 @@ def strongest(lines: list[StripeLine], peaks: Peaks, count: int) -> list[StripeL
     """Leave out lines beyond `count` that are far weaker: edges of the print, reflections."""
     if len(lines) <= count:
         return lines
+    # light, not number of peaks: a faint reflection may be long
     light = np.array([float(peaks.amplitude[line.peak].sum()) for line in lines])
     least = _STRAY_SHARE * np.sort(light)[-count]
     return [line for line, own in zip(lines, light, strict=True) if own >= least]
@@ -232,6 +236,7 @@ def gather(
             continue
         peaks = view.laser.peaks
         xy = _straight(peaks, first.camera)
+        # on the board and, where it is known, its white margin
         place = on_board(xy, first.rotation[number], first.shift[number])
         margin_mm = view.board.margin_mm
         use = ((place > -margin_mm) & (place < view.board.size_mm + margin_mm)).all(axis=1)
@@ -261,6 +266,7 @@ def gather(
     number_of = np.array([first.views[one.number].number for one in found])
     sizes = first_sizes(poses, number_of)
     if (sizes != 1.0).any():
+        # on a larger print points lie farther away, and p·X = 1 shrinks
         size_of = sizes[number_of]
         found = [replace(one, plane=one.plane / s) for one, s in zip(found, size_of, strict=True)]
         poses = [replace(one, ends_mm=one.ends_mm * s) for one, s in zip(poses, size_of, strict=True)]
@@ -269,6 +275,7 @@ def gather(
     parts: list[tuple[int, int, Peaks, Integers]] = []
     on_stripes = on_even = 0
     for one, pose in zip(found, poses, strict=True):
+        # numbered planes say where on each board a stripe must lie
         for stripe, part in () if pose.name in numbered.left_out else one.near(numbered.planes, focal_px):
             on_stripes += part.size
             part = part[one.even[part]]
@@ -308,6 +315,7 @@ class _OnBoard:
         Pieces of a stripe that were too short to be a line of their own are found again so, and lines that
         belong to no plane are not.
         """
+        # rays on plane of light and board: (p − b)·ray = 0
         line = planes - self.plane
         chosen = np.flatnonzero(self.use)
         y = self.xy[chosen, 1]
@@ -318,6 +326,7 @@ class _OnBoard:
         for stripe in range(len(planes)):
             others = np.delete(x, stripe, axis=0) - x[stripe]
             room = np.abs(others).min(axis=0, initial=np.inf) * focal_px
+            # nearest to this stripe, and within a share of the way to the next one
             near = (nearest == stripe) & (off[stripe] < np.minimum(_SEARCH_PX, _SEARCH_SHARE * room))
             if near.sum() >= _PEAKS_MIN:
                 own = _fitted(chosen[near], self.xy, focal_px)
@@ -390,9 +399,12 @@ def _belt_lines(
             )
         ray = np.concatenate([line.ends(xy) for line in lines])
         fits = []
+        # outer stripes may be missing: every shift in order is tried
         for first in range(len(planes) - len(lines) + 1):
+            # a point on belt and plane of light has b·ray = p·ray: linear in b
             side = (ray * np.repeat(planes[first : first + len(lines)], 2, axis=0)).sum(axis=1)
             plane, _, rank, _ = np.linalg.lstsq(ray, side, rcond=1e-9)
+            # lines that are one line determine no belt
             off = np.abs(ray @ plane - side).max() / np.sqrt((plane**2).sum()) if rank == 3 else np.inf
             fits.append((float(off), first))
         first = min(fits)[1]
@@ -436,6 +448,7 @@ def _binned(
 
 def _points(parts: list[tuple[int, int, Peaks, Integers]], travelled: Floats) -> tuple[StripePoints, int]:
     """Give the points of pose, stripe, peaks and which of them, and how many peaks on boards they hold."""
+    # rounded up: never more points than wanted
     step = max(1, -(-sum(part.size for *_, part in parts) // _POINTS_MAX))
     tables, kept = [], 0
     for number, stripe, peaks, part in parts:

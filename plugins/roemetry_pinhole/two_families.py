@@ -5,6 +5,9 @@ Both tell of one camera and one belt, and of the same marks on the same boards: 
 families of a grid are (`roemetry_pinhole.grid`), the planes of each following what both say of camera and
 belt. How far the families lie apart is a check. What comes out is a calibration of `pinhole-plane`, in which
 lines of both families take turns.
+
+It assumes as much as `pinhole-plane` does of each family, and that the extractor tells the colours apart: a
+peak in the wrong family is a stray one there.
 """
 
 from __future__ import annotations
@@ -67,6 +70,7 @@ def _part(observed: CalibrationSet, family: int) -> CalibrationSet:
         part = {name: getattr(peaks, name)[kept] for name in names}
         return replace(one, peaks=replace(peaks, **part, family=None))
 
+    # lines take turns: the first family has one more where the number is odd
     count = (observed.stripe_count + 1 - family) // 2
     return replace(observed, stripe_count=count, observations=tuple(map(mine, observed.observations)))
 
@@ -91,6 +95,7 @@ def _joined(first: Calibration, second: Calibration) -> Calibration:
     # in the order of the parameters: camera, planes, belt
     follow = np.vstack([np.eye(15)[:12], gain.reshape(-1, 15), np.eye(15)[12:]])
     whole: Floats = follow @ covariance @ follow.T
+    # what is left of each family's planes where the shared is known
     whole[12:-3, 12:-3] += own.reshape(3 * count, 3 * count)
     parameters = {
         "focal_px": shared[:2],

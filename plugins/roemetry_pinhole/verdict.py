@@ -95,6 +95,7 @@ def judged(joined: JointAdjustment, *, scale_is_known: bool = True) -> Verdict:
         A plane goes nearly through the camera; stripes do not lie in planes; residuals are no noise.
     """
     adjusted = joined.adjusted
+    # refusals first: figures of what cannot be are of no use
     _check_planes_pass_by(adjusted)
     _check_used(joined)
     _check_planes(adjusted, joined)
@@ -199,6 +200,7 @@ def _of_travel(adjusted: Adjusted) -> tuple[dict[str, float], str]:
 def _check_planes_pass_by(adjusted: Adjusted) -> None:
     """A plane through the camera's centre is seen edge on: no height moves its stripe."""
     geometry = adjusted.geometry
+    # 1/|p| is the distance of a plane from the camera's centre
     past = 1.0 / np.sqrt((geometry.planes**2).sum(axis=1))
     away = 1.0 / float(np.sqrt((geometry.belt**2).sum()))
     worst = int(past.argmin())
@@ -213,6 +215,7 @@ def _check_planes_pass_by(adjusted: Adjusted) -> None:
 def _outlier_share(joined: JointAdjustment) -> float:
     """Share of the stripe peaks that are left out as far off, those on uneven print apart."""
     used = joined.adjusted.stripe_used
+    # left out before the adjustment, and in it
     return 1.0 - (1.0 - joined.outlier_share) * (float(used.mean()) if used.size else 1.0)
 
 
@@ -248,6 +251,7 @@ def _check_planes(adjusted: Adjusted, joined: JointAdjustment) -> None:
             f"{rms_px[worst]:.2f} px (rms), those of the others by {usual:.2f} px",
             hint="look for a reflection, a bent board, or a laser that moved between the images",
         )
+    # by what is stated, but never below half a pixel nor above two
     limit = np.clip(_STATED_FACTOR_MAX * stated_px, _PLANE_RMS_MIN_PX, _PLANE_RMS_MAX_PX)
     worst = int((rms_px / limit).argmax())
     if rms_px[worst] > limit[worst]:
@@ -272,6 +276,7 @@ def _systematic(adjusted: Adjusted, first: InitialCamera, size: tuple[int, int])
         inside = adjusted.corner_px[used & (cell == number)]
         if len(inside) < _CELL_MARKS_MIN:
             continue
+        # squared mean of a cell, less what the noise of its marks gives it
         share = float((inside.mean(axis=0) ** 2).mean() - inside.var(axis=0).mean() / len(inside))
         excess += len(inside) * share
         weight += len(inside)
@@ -322,11 +327,13 @@ def cross_validate(measured: Measured, found: Geometry) -> CrossValidation:
     What the adjustment of all found is a start for those of less.
     """
     poses = np.unique(measured.corners.pose)
+    # boards on the belt tell where it is: they are never left out
     spare = np.setdiff1d(poses, measured.contacts.pose)
     folds = min(_FOLDS, spare.size)
     parts: list[tuple[Any, ...]] = []
     skipped = 0
     for fold in range(folds):
+        # every so many-th, so that each part holds poses from all of the sequence
         out = spare[fold::folds]
         try:
             geometry = _calibrated(measured, np.setdiff1d(poses, out), found)
@@ -364,6 +371,7 @@ def _heights(geometry: Geometry, board: Geometry, points: StripePoints) -> Float
     off = away @ normal
     if board.warp is not None:
         off = off - board.warp.height_mm((away @ board.rotation[0])[:, :2])
+    # from along the board's normal to along the belt's
     return np.asarray(off / (normal @ up))
 
 
@@ -396,13 +404,16 @@ def stripe_offsets(geometry: Geometry, points: StripePoints) -> tuple[Floats, Fl
     level = np.zeros(points.pose.size, np.int64)
     if points.face is not None:
         level = np.unique(points.face, axis=0, return_inverse=True)[1].ravel()
+    # one plane for each surface: pose and face
     for pose, number in np.unique(np.column_stack([points.pose, level]), axis=0):
         on = np.flatnonzero((points.pose == pose) & (level == number))
         stripes = np.unique(points.stripe[on])
         if stripes.size < _STRIPES_MIN or (pose == ON_BELT and np.ptp(points.counts[on]) > 0):
             continue
         middle = xyz[on].mean(axis=0)
+        # the direction of least spread
         normal = np.linalg.svd(xyz[on] - middle, full_matrices=False)[2][2]
+        # towards the camera, which looks along +z
         normal = normal * (-1.0 if normal[2] > 0 else 1.0)
         for stripe in stripes:
             mine = on[points.stripe[on] == stripe]

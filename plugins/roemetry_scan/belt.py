@@ -62,17 +62,21 @@ def plane_of_belt(points_mm: Floats, near_mm: float) -> Floats:
 
     `near_mm` is how far belt may lie from a plane. StageError where no plane has a tenth of the points.
     """
+    # a fixed seed: the same scan has the same belt in every run
     rng = np.random.default_rng(0)
     some = points_mm[rng.integers(0, len(points_mm), min(_SAMPLE, len(points_mm)))]
     three = some[rng.integers(0, len(some), (_TRIES, 3))]
     design = np.concatenate([np.ones((_TRIES, 3, 1)), three[..., :2]], axis=2)
+    # three points on one line span no plane
     good = ~(np.abs(np.linalg.det(design)) < 1e-6)
     planes = np.linalg.solve(design[good], three[good][..., 2:])[..., 0]
+    # nothing of a plane that leans like a flank
     planes = np.ascontiguousarray(planes[~(np.hypot(planes[:, 1], planes[:, 2]) > _LEAN_MAX)])
     best: Floats = np.zeros(3)
     if len(planes):
         best = planes[int(_scores(planes, some, near_mm).argmax())]
     near = np.abs(points_mm[:, 2] - best[0] - points_mm[:, :2] @ best[1:]) <= near_mm
+    # a tenth of all points at least: the best of many wrong planes has fewer
     if near.mean() < 0.1:
         raise StageError(
             f"no belt is seen: the best plane has {near.mean():.0%} of the points near it",
@@ -82,8 +86,10 @@ def plane_of_belt(points_mm: Floats, near_mm: float) -> Floats:
         best = fitted_plane(points_mm[near])
         over = points_mm[:, 2] - best[0] - points_mm[:, :2] @ best[1:]
         spread = 1.4826 * float(np.median(np.abs(over[near])))
+        # narrower as the fit settles, but never wider than at first
         again = np.abs(over) <= min(max(3.0 * spread, 1e-6), near_mm)
         if np.array_equal(again, near):
+            # the same points again: settled
             break
         near = again
     return best
@@ -106,6 +112,7 @@ def _scores(planes: Floats, some: Floats, near_mm: float) -> Floats:
 
 def fitted_plane(points_mm: Floats) -> Floats:
     """Give a, b, c of z = a + b·x + c·y by least squares."""
+    # about the middle, or offset and slopes would hang together
     middle = points_mm.mean(axis=0)
     design = np.column_stack([np.ones(len(points_mm)), points_mm[:, :2] - middle[:2]])
     a, b, c = np.linalg.lstsq(design, points_mm[:, 2], rcond=None)[0]
@@ -115,6 +122,7 @@ def fitted_plane(points_mm: Floats) -> Floats:
 def frame_on(plane: Floats) -> Belt:
     """Give the rotation and the point that lay Z = 0 on a plane, X and Y as near as they may stay."""
     up = np.array([-plane[1], -plane[2], 1.0]) / np.sqrt(1.0 + plane[1] ** 2 + plane[2] ** 2)
+    # X stays as it was, but for what leaves the plane
     along = np.array([1.0, 0.0, 0.0]) - up[0] * up
     along /= np.sqrt(along @ along)
     return np.stack([along, np.cross(up, along), up]), np.array([0.0, 0.0, plane[0]])
@@ -146,25 +154,31 @@ def products_on(
     with np.errstate(invalid="ignore"):
         high = np.ascontiguousarray((height_mm > edge).astype(np.uint8))
     reach = [max(1, round(0.5 * options.gap_mm / step)) for step in steps_mm]
+    # half a gap to either side: pieces nearer than the gap grow together
     kernel = np.ones((2 * reach[0] + 1, 2 * reach[1] + 1), np.uint8)
+    # a border of nothing: closing would else join to the image's edge
     padded = cv2.copyMakeBorder(high, reach[0], reach[0], reach[1], reach[1], cv2.BORDER_CONSTANT)
     joined = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, kernel)
     joined = joined[reach[0] : joined.shape[0] - reach[0], reach[1] : joined.shape[1] - reach[1]]
     count, region = cv2.connectedComponents(np.ascontiguousarray(joined), connectivity=8)
+    # the pieces themselves; what the closing added is not product
     on: Flags = seen & (region > 0) & (high > 0)
     index = region[on]
     top = np.full(count, -np.inf)
     np.maximum.at(top, index, height_mm[on])
     area = np.bincount(index, minlength=count) * steps_mm[0] * steps_mm[1]
     good = (top >= options.height_min_mm) & (area >= _AREA_MIN_MM2)
+    # region 0 is what no product covers
     good[0] = False
     number = np.zeros(count, np.int16)
     first = {int(k): int(np.flatnonzero((region == k).any(axis=1))[0]) for k in np.flatnonzero(good)}
     side = {k: int(np.flatnonzero(region[at] == k)[0]) for k, at in first.items()}
+    # by first slice, then by first point: the order in which they came
     for place, k in enumerate(sorted(first, key=lambda k: (first[k], side[k])), start=1):
         number[k] = place
     found = np.where(seen, np.where(on, number[region], 0), -1).astype(np.int16)
     low_mm = options.height_min_mm
+    # along slices and across them: shadows fall both ways
     found[_beyond_shadow(height_mm, found, low_mm) | _beyond_shadow(height_mm.T, found.T, low_mm).T] = 0
     return found
 
@@ -186,6 +200,7 @@ def _beyond_shadow(height_mm: Floats, label: Labels, low_mm: float) -> Flags:
             while 0 <= k < points:
                 if label[i, k] <= 0:
                     if label[i, k] == 0:
+                        # belt amid ends the run of islands: what follows is no island behind a shadow
                         islands = 0
                     k += way
                     continue
@@ -194,11 +209,14 @@ def _beyond_shadow(height_mm: Floats, label: Labels, low_mm: float) -> Flags:
                     k += way
                 first = begin if islands == 0 else first
                 islands += 1
+                # still small: perhaps another island
                 if abs(k - begin) <= _EDGE_POINTS:
                     continue
+                # the body begins: what stood before it is lifted belt, where it is low enough
                 for m in range(first, begin, way):
                     mine = label[i, m] == label[i, begin]
                     found[i, m] |= mine and height_mm[i, m] < min(_EDGE_SHARE * height_mm[i, begin], low_mm)
+                # on to what is not of this body
                 while 0 <= k < points and label[i, k] != 0:
                     k += way
     return found

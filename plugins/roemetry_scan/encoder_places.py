@@ -66,9 +66,11 @@ def encoder_places(count: Floats, number: Integers) -> EncoderPlaces:
             "their number",
             hint="give counts in the file beside the frames, or in their names; see the belt-scan source",
         )
+    # overflows first: they look like a belt that jumps back
     unwrapped, wraps = _unwrapped(count[known])
     _, frame_wraps = unwrapped_numbers = _unwrapped(number.astype(np.float64))
     steps = np.diff(unwrapped)
+    # the direction of most steps; single steps back are the belt's, not the counter's
     direction = float(np.sign(np.sum(np.sign(steps))))
     if direction == 0.0 or not steps.any():
         raise StageError(
@@ -82,9 +84,11 @@ def encoder_places(count: Floats, number: Integers) -> EncoderPlaces:
     repeated = turned = 0
     farthest, before = -np.inf, -np.inf
     for line in known.tolist():
+        # only what lies farther than all before is a new place
         if way[line] > farthest:
             used[line], farthest = True, way[line]
         elif way[line] == before == farthest:
+            # the count stands where it stood, at the farthest place: the belt waited
             repeated += 1
         else:
             turned += 1
@@ -95,9 +99,11 @@ def encoder_places(count: Floats, number: Integers) -> EncoderPlaces:
             "and fro"
         )
     ahead = np.diff(way[used])
+    # of used lines; the median is the usual step even if many were lost
     usual = float(np.median(ahead))
     missed = np.where(ahead > _GAP_STEPS * usual, np.rint(ahead / usual).astype(np.int64) - 1, 0)
     place = np.zeros(count.size, np.int64)
+    # places count usual steps, with those of lost lines left free
     place[np.flatnonzero(used)] = np.concatenate([[0], np.cumsum(missed + 1)])
     lost = int(missed.sum())
     frames = np.diff(unwrapped_numbers[0])
@@ -114,7 +120,9 @@ def _unwrapped(value: Floats) -> tuple[Floats, int]:
     """Undo overflows of 16 and 32 bits; give how many there were."""
     for bits in (16, 32):
         size = 2.0**bits
+        # an overflow is a step of more than half the counter's range
         steps = np.diff(value)
+        # counts outside the range were never in such a counter
         fits = value.min() >= -size / 2 and value.max() < size and np.ptp(value) < size
         over = np.where(steps < -size / 2, 1.0, np.where(steps > size / 2, -1.0, 0.0))
         if fits and over.any():

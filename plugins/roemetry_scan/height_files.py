@@ -55,6 +55,7 @@ class HeightMaps(Source[HeightSourceOptions]):
             found = [one for one in found if one.suffix.lower() in SUFFIXES]
         if not found:
             raise DataError(f"{path}: there is no height map", hint=f"known are {', '.join(SUFFIXES)}")
+        # files that differ by suffix alone keep it in their names
         stems = [one.stem for one in found]
         return [
             AcquisitionReference(one.stem if stems.count(one.stem) == 1 else one.name, {"laser": one})
@@ -68,7 +69,9 @@ class HeightMaps(Source[HeightSourceOptions]):
         xyz = found.xyz_mm * _MM[self.options.unit]
         quarter = self.options.turn // 90
         for _ in range(quarter):
+            # a quarter turn counter-clockwise: (x, y) to (−y, x)
             xyz = np.stack([-xyz[..., 1], xyz[..., 0], xyz[..., 2]], axis=-1)
+        # an odd number of quarters changes what is a slice and what a point of it
         if quarter % 2 and xyz.ndim == 3:
             xyz = xyz.transpose(1, 0, 2)
         std_mm = found.std_mm * _MM[self.options.unit]

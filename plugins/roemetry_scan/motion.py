@@ -70,16 +70,19 @@ def measured_motion(
 ) -> tuple[Motion, Mapping[str, float]]:
     """Fit the motion; CalibrationError says why it could not be told."""
     try:
+        # repeated and reversed lines would put a point at two places of the body
         found = encoder_places(lines.count, lines.number)
     except RoemetryError as error:
         raise CalibrationError(f"the scan of the target: {error.message}", hint=error.hint) from error
     line = np.flatnonzero(found.used)
     way = found.direction * found.way[line]
+    # counts in the belt's direction, whichever way the counter runs
     seen, index = _rig_points(stripes, line, calibration, triangulator)
     start, pose, length, some = _started(seen, way[index], target, right)
     surface = _surface_of(target)
     unknowns = np.concatenate([start, pose])
     unknowns, kept = _fitted(unknowns, seen, way[index], surface, length, some)
+    # derivatives at the end, by all points that count, for the covariance
     residual, slopes = _linearised(unknowns, seen[kept], way[index][kept], surface)
     rms = float(np.sqrt(np.mean(residual**2)))
     if not rms < _RMS_MAX_SHARE * _height(target):
@@ -94,25 +97,32 @@ def measured_motion(
             f"the scan does not fit the {target.name}: what fits lies on too few of its faces",
             hint="is the target the one that the rig file describes, and does the belt run the way it says?",
         ) from error
+    # errors of neighbouring rows and lines hang together: the covariance is so many times that of single
+    # points
     covariance = rms**2 * _TOGETHER * inverse[:3, :3]
+    # what a change of all distances moves the unknowns by, to first order
     step_solve = inverse @ slopes.T
     steps, changes = [], []
     for step in calibration.independent_steps():
         if not step.any():
             continue
         moved = calibration.shifted(step, triangulator.view)
+        # the same lines, seen by a calibration that is off by one of its independent steps
         try:
             other = _rig_points(stripes, line, moved, triangulator)[0]
         except RoemetryError:
             continue
+        # other places are seen then, and distances cannot be compared point by point
         if other.shape != seen.shape:
             continue
+        # only the first three unknowns are the motion; the pose may move as it likes
         off, _ = _linearised(unknowns, other[kept], way[index][kept], surface, slopes=False)
         steps.append(step)
         changes.append(-(step_solve @ (off - residual))[:3])
     # the body's own lengths are known to their tolerance only
     relative = target.tolerance_mm / math.sqrt(3.0) / length
     covariance = covariance + relative**2 * np.outer(unknowns[:3], unknowns[:3])
+    # where the line ends on the belt is kept, for later scans to compare with
     middle = line * calibration.stripe_count + calibration.stripe_count // 2
     motion = Motion(
         unknowns[:3],
@@ -120,8 +130,10 @@ def measured_motion(
         _per_parameter(steps, changes, calibration),
         line_ends(stripes.x_px[middle], stripes.x_std_px[middle]),
     )
+    # the calibration's own errors, independent of one another
     for change in changes:
         covariance = covariance + np.outer(change, change)
+    # along the motion: the pitch; across it: the direction
     size = float(np.sqrt(motion.mm_per_count @ motion.mm_per_count))
     along = motion.mm_per_count / size
     pitch_std = math.sqrt(float(along @ covariance @ along)) / size
@@ -146,6 +158,7 @@ def _per_parameter(steps: list[Floats], changes: list[Floats], calibration: Cali
     size = len(calibration.covariance)
     if not steps:
         return np.zeros((3, size))
+    # in units of each parameter's own uncertainty: they differ by orders
     own = np.sqrt(np.diag(calibration.covariance))
     scale = np.where(own > 0.0, own, 1.0)
     found, *_ = np.linalg.lstsq(np.array(steps) / scale, np.array(changes), rcond=1e-9)
@@ -159,6 +172,7 @@ def _rig_points(
     per_line = calibration.stripe_count
     middle = calibration.stripe_count // 2
     at = line * per_line + middle
+    # every row's places in the rig's frame, without any shift: that is what is looked for
     table = points_of_rows(calibration, triangulator)
     x_px = stripes.x_px[at]
     points, _ = placed(x_px, np.ones_like(x_px), table, middle, np.zeros((len(at), 3)))
@@ -179,18 +193,22 @@ def _started(
     plane = plane_of_belt(level, _NEAR_MM)
     over = seen[:, 2] - plane[0] - level[:, :2] @ plane[1:]
     cut_mm = _cut(target)
+    # the body alone: belt, rim and plate lie lower
     on = over > cut_mm
     if np.count_nonzero(on) < 100:
         raise CalibrationError(
             f"the {target.name} is not seen in the scan: {int(on.sum())} points rise above {cut_mm:.1f} mm",
             hint="carry it through the light as a whole, with bare belt before and behind it",
         )
+    # between quantiles, so that stray points add no length
     counts = float(np.ptp(np.quantile(way[on], [0.002, 0.998])))
     if counts <= 0.0:
         raise CalibrationError("the target is seen in one line only")
     seen_length = _length_at(target, cut_mm)
+    # the length that is known over the counts that it takes: a first pitch, along X
     start = np.array([(1.0 if right else -1.0) * seen_length / counts, 0.0, 0.0])
     placed_at = seen - way[:, None] * start
+    # the middle of the body's bounding box, without strays
     middle = 0.5 * (np.quantile(placed_at[on], 0.01, axis=0) + np.quantile(placed_at[on], 0.99, axis=0))
     surface, some = _surface_of(target), np.flatnonzero(on)
     some = some[:: max(1, some.size // 1500)]
@@ -198,6 +216,7 @@ def _started(
     for yaw in _YAWS_DEG:
         pose = np.array([0.0, 0.0, math.radians(yaw), middle[0], middle[1], plane[0]])
         off = surface(_in_body(placed_at[some], pose))
+        # median: up to half of the points may be of something else
         score = float(np.nanmedian(np.abs(off)))
         if score < least:
             best, least = pose, score
@@ -209,6 +228,7 @@ def _fitted(
     unknowns: Floats, seen: Floats, way: Floats, surface: Distances, length: float, some: Integers
 ) -> tuple[Floats, Any]:
     """Fit motion and pose to some points; give them and the points that count."""
+    # at first anything within a tenth of the length may be the body
     limit = 0.1 * length
     kept = some
     for round_ in range(_ROUNDS):
@@ -219,9 +239,11 @@ def _fitted(
                 "the scan does not fit the target anywhere: another body, or the belt runs the other way"
             )
         kept = some[good]
+        # a quarter of the points until it has settled
         wanted = _POINTS if round_ > _ROUNDS_FIRST else _POINTS // 4
         kept = kept[:: max(1, kept.size // wanted)]
         residual, slopes = _linearised(unknowns, seen[kept], way[kept], surface)
+        # columns are of mm a count, radians and mm: scaled, or the equations would be ill-conditioned
         size = np.sqrt((slopes**2).sum(axis=0))
         size = np.where(size > 0.0, size, 1.0)
         scaled = slopes / size
@@ -229,7 +251,9 @@ def _fitted(
         change = -np.linalg.lstsq(scaled.T @ scaled, scaled.T @ residual, rcond=1e-14)[0] / size
         unknowns = unknowns + change
         spread = 1.4826 * float(np.median(np.abs(residual)))
+        # narrowed slowly while the pose is still being found
         limit = max(_FAR * spread, 0.8 * limit) if round_ < _ROUNDS_FIRST else _FAR * spread
+        # in mm at the points: no unknown has a unit of its own to compare with
         if round_ > _ROUNDS_FIRST + 3 and np.abs(slopes @ change).max() < _SETTLED_MM:
             break
     return unknowns, kept
@@ -247,6 +271,7 @@ def _linearised(
     if not slopes:
         return here, np.empty((0, 9))
     span = max(float(np.ptp(way)), 1.0)
+    # 1 µm over the whole way, 0.01 mrad, 1 µm: far above rounding, far below any curvature
     steps = np.array([*[1e-3 / span] * 3, *[1e-5] * 3, *[1e-3] * 3])
     found = np.empty((len(seen), 9))
     for k, step in enumerate(steps):
@@ -277,6 +302,7 @@ def _faces(target: Pyramid) -> Distances:
 
     def distances(points: Floats) -> Floats:
         """Give (point,) signed distances from the surface, mm, of points (point, 3); NaN near the belt."""
+        # a convex body's distance is the largest of those from its planes; exact outside near faces only
         off = (points @ normals.T - offsets).max(axis=1)
         return np.where(points[:, 2] > 0.1 * target.height_mm, off, np.nan)
 
@@ -294,6 +320,7 @@ def _balls(target: SpherePlate) -> Distances:
     def distances(points: Floats) -> Floats:
         """Give (point,) signed distances from the nearest ball's surface, mm, of points (point, 3)."""
         at = (points[:, :2] - first) / target.pitch_mm
+        # balls are alike: each point belongs to the nearest of the regular places
         nearest = np.clip(np.rint(at), 0, [target.columns - 1, target.rows - 1])
         away = points.copy()
         away[:, :2] -= first + target.pitch_mm * nearest

@@ -84,6 +84,7 @@ class BeltMotion(Assembler[BeltOptions]):
         motion = motion_of(calibration)
         found = encoder_places(lines.count, lines.number)
         per_line = stripes.stripe_count // len(lines.count)
+        # of several stripes the middle one makes the slices; the others tell slip
         middle = calibration.stripe_count // 2
         first = middle if per_line > 1 else 0
         seen = np.isfinite(stripes.x_px[first::per_line]).any(axis=1)
@@ -93,12 +94,14 @@ class BeltMotion(Assembler[BeltOptions]):
                 f"{line.size} lines could be followed and placed, 3 are the least",
                 hint="look at the frames: is the laser on, and does the belt run?",
             )
+        # (line, 3) the way of the belt since the first line, mm
         shift = found.direction * found.way[line, None] * motion.mm_per_count
         # all lines, as nearly always, are looked at where they are, not copied
         at = slice(first, None, per_line) if line.size == len(lines.count) else line * per_line + first
         table = points_of_rows(calibration, triangulator)
         x_px, x_std_px = stripes.x_px[at], stripes.x_std_px[at]
         xyz_mm, height_std_mm = placed(x_px, x_std_px, table, middle, shift)
+        # how many rows an edge may move by from line to line and still be one
         oblique = math.ceil(_OBLIQUE * usual_step(xyz_mm, 0) / usual_step(xyz_mm, 1))
         whole = np.ones(len(line), np.bool_)
         # what has belt labels is a part of lines that were placed before: nothing is asked of it again
@@ -121,9 +124,11 @@ class BeltMotion(Assembler[BeltOptions]):
             ends = line_ends(x_px, x_std_px)
             longer, longer_std = longer_by(ends, motion.line_ends_rows, x_px.shape[1])
         _refuse_longer(longer)
+        # usual step in counts, times the motion's part across the light: the pitch of slices
         step_counts = float(np.median(np.diff(found.way[line])))
         across = float(motion.mm_per_count @ normal)
         pitch = abs(across) * step_counts
+        # uncertainty of t·n by the motion's covariance
         relative = math.sqrt(float(normal @ motion.covariance @ normal)) / abs(across)
         unreadable = int(np.count_nonzero(found.used & ~seen))
         figures = ScanFigures(
@@ -140,6 +145,7 @@ class BeltMotion(Assembler[BeltOptions]):
         )  # fmt: skip
         unread = stripes.reasons or _unreadable(figures)  # what was said of the first, where that is known
         reasons = (*found.reasons, *unread, *_torn(whole), *_off(figures, off_mm), *_longer(longer))
+        # the other stripes lie before or behind by what the belt runs between them
         if per_line > 1:
             lag_mm = _lags(table.plane, motion.mm_per_count, middle)
             others = {
@@ -165,6 +171,7 @@ class BeltMotion(Assembler[BeltOptions]):
             reasons=reasons,
             scan=figures,
         )
+        # no point is told to be belt yet: `label` will find it
         if not (label == 0).any():
             return profiles
         return _with_flanks(_on_belt(profiles, fitted_plane(_some(xyz_mm, label == 0))))
@@ -180,6 +187,7 @@ class BeltMotion(Assembler[BeltOptions]):
         some = np.flatnonzero((label == 0) if known else (label > 0))
         some = some[:: max(1, some.size // _BELT_SAMPLE)]
         points = xyz_mm.reshape(-1, 3)[some]
+        # as the camera sees it: without what the belt rose or fell by on its way
         over = points[:, 2] + shift_mm[some // xyz_mm.shape[1], 2]
         if not known:
             plane = plane_of_belt(points, _NEAR_MM)
@@ -248,16 +256,19 @@ def _lags(plane: Floats, motion: Floats, middle: int) -> Floats:
 
 def _on_belt(profiles: Profiles, plane: Floats) -> Profiles:
     """Lay Z = 0 on a plane z = a + b·x + c·y of the slices."""
+    # a rotation and a shift that lay Z = 0 on the plane
     turn, point = frame_on(plane)
     normal = profiles.plane[:, :3]
     figures = profiles.scan
     if figures is not None:
         figures = replace(figures, mm_per_count=_three(turn @ np.array(figures.mm_per_count)))
     xyz_mm = profiles.xyz_mm @ turn.T
+    # in place: a copy of a long scan is megabytes
     xyz_mm -= turn @ point
     return replace(
         profiles,
         xyz_mm=xyz_mm,
+        # n·X = d in the turned frame
         plane=np.column_stack([normal @ turn.T, profiles.plane[:, 3] - normal @ point]),
         scan=figures,
     )
@@ -270,6 +281,7 @@ def _three(vector: Floats) -> tuple[float, float, float]:
 def _scale_per_mm(table: RowTable, calibration: Calibration, middle: int) -> float:
     """Give the relative change of a slice's area by where in the image its belt lies, for 1 mm of height."""
     rest_px = calibration.rest_line_px(np.arange(calibration.image_size[0], dtype=np.float64))[middle]
+    # at one, two and three pixels off the rest line: how scale and width change with height
     x_px = rest_px + np.arange(3.0)[:, None]
     xyz_mm, _ = placed(x_px, np.zeros_like(x_px), table, middle, np.zeros((3, 3)))
     rise_mm = np.nanmedian(np.diff(xyz_mm[..., 2], axis=0), axis=1)
@@ -311,6 +323,7 @@ def _owned(number: Any, frame: Any, own: tuple[int, int]) -> Any:
     place = 0
     for one in range(1, int(number.max(initial=0)) + 1):
         on = number == one
+        # a product that begins in lines of the part before is measured there
         begins = int(frame[np.flatnonzero(on.any(axis=1))[0]])
         mine = own[0] <= begins < own[1]
         place += mine
@@ -330,8 +343,10 @@ def _jitter(height_mm: Floats, number: Any, noise_mm: float) -> float:
             mean[some] = np.nanmean(belt, axis=1)
     good = many >= 10
     if np.count_nonzero(good) < 3:
+        # fewer lines tell no scatter
         return 0.0
     mean = mean[good]
+    # what the points' noise makes of the lines' means
     expected = noise_mm**2 * float(np.mean(1.0 / many[good]))
     return math.sqrt(max(0.0, float(mean.var()) - expected))
 

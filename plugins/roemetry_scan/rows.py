@@ -40,6 +40,7 @@ def points_of_rows(calibration: Calibration, triangulator: Triangulator[Any]) ->
     points = np.full((count, rows, _NODES, 4), np.nan)
     plane = np.empty((0, 4))
     shape = (count, rows)
+    # each node is asked in all rows at once, with an uncertainty of one pixel, so that the answer is a factor
     for node in range(_NODES):
         made = triangulator.triangulate(
             StripeMap(
@@ -84,13 +85,16 @@ def _placed(
             x = x_px[i, r] / step_px
             if math.isnan(x):
                 continue
+            # four nodes about the place: one before, three from it on; at the ends the outermost four
             k = min(max(int(x) - 1, 0), count - 4)
             u = x - k - 1.0
+            # Lagrange's cubic through nodes at −1, 0, 1 and 2
             a = -u * (u - 1.0) * (u - 2.0) / 6.0
             b = (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0
             c = -(u + 1.0) * u * (u - 2.0) / 2.0
             d = (u + 1.0) * u * (u - 1.0) / 6.0
             for m in range(3):
+                # the line's point, moved back by the way of the belt
                 points[i, r, m] = (
                     a * nodes[r, k, m] + b * nodes[r, k + 1, m] + c * nodes[r, k + 2, m]
                     + d * nodes[r, k + 3, m] - shift[i, m]

@@ -80,11 +80,13 @@ class BeltScan(Source[BeltScanOptions]):
         for scan in _scans(path):
             lines = len(_table(scan).count)
             step = self.options.part_lines
+            # the last part also takes a remainder that is no longer than the longest product
             parts = max(1, math.ceil((lines - self.options.longest_product_lines) / step))
             for part in range(parts):
                 first = part * step
                 last = lines if part == parts - 1 else first + step
                 begin = max(0, first - _LOOK_BACK)
+                # on behind its own lines, until the longest product that begins in them has ended
                 end = min(lines, last + self.options.longest_product_lines)
                 name = scan.stem if parts == 1 else f"{scan.stem}_part{part + 1:03d}"
                 files = {"laser": scan} if scan.is_file() else {}
@@ -99,6 +101,7 @@ class BeltScan(Source[BeltScanOptions]):
             raise DataError(f"{reference.id}: no part of a scan")
         scan = reference.files.get("laser", reference.scan)
         if not scan.is_dir():
+            # opened now, so that a missing or damaged file is said of before measuring begins
             (_video if scan.suffix.lower() in _VIDEOS else _tall)(scan)
         table = _table(scan)
         begin, end = reference.begin, reference.end
@@ -127,6 +130,7 @@ class _Reader:
     """
 
     def __init__(self, scan: Path, table: _Table, begin: int, end: int) -> None:
+        # the process is kept, too: see `_image`
         self.scan, self.table, self.begin, self.end = scan, table, begin, end
         self._next, self._ahead, self._process = begin, dict[int, Future[Any]](), os.getpid()
 
@@ -139,8 +143,10 @@ class _Reader:
         if self._process != os.getpid():  # a forked process has no threads that would end what was begun
             self._process = os.getpid()
             self._ahead.clear()
+        # what lies behind, or too far ahead, is given up
         for one in [one for one in self._ahead if not at <= one <= at + _AHEAD]:
             del self._ahead[one]
+        # ahead only while lines are asked for one after another
         for one in range(at, min(at + 1 + _AHEAD, self.end) if in_turn else at):
             if one not in self._ahead:
                 self._ahead[one] = _decoders().submit(_decoded, self.scan / self.table.files[one])
@@ -154,6 +160,7 @@ class _Reader:
         if self.scan.suffix.lower() in _VIDEOS:
             return _frame(_video(self.scan)(at), f"{self.scan.name}, frame {at}")
         whole = _tall(self.scan)
+        # the table says how many frames the image holds
         rows = whole.shape[0] // len(self.table.count)
         if rows * len(self.table.count) != whole.shape[0]:
             raise DataError(
@@ -174,6 +181,7 @@ def _decoded(path: Path) -> Any:
         data = np.frombuffer(as_stored(path.read_bytes()), np.uint8)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+    # an image that is cut off must not count as one that is dark below
     # OpenCV decodes a PNG as far as it goes, and fills up with black
     cut = path.suffix.lower() == ".png" and data[-8:-4].tobytes() != b"IEND"
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size and not cut else None
@@ -207,6 +215,7 @@ def _video(path: Path) -> Callable[[int], Any]:
 
     def frame(at: int) -> Any:
         """Give a frame by its number; the next in turn is had without a seek."""
+        # seeking in a video is slow, and not exact with every codec
         if state["next"] != at:
             film.set(cv2.CAP_PROP_POS_FRAMES, at)
         good, image = film.read()
@@ -220,6 +229,7 @@ def _video(path: Path) -> Callable[[int], Any]:
 
 def _scans(path: Path) -> list[Path]:
     """Give every scan that a path or pattern names, in order."""
+    # a folder of scans; a folder of frames is one itself
     if path.is_dir() and any(_is_scan(one) for one in path.iterdir() if one.is_dir()):
         found = [one for one in sorted(path.iterdir()) if _is_scan(one)]
     elif path.exists():
@@ -253,6 +263,7 @@ def _frames_in(folder: Path) -> list[Path]:
     images = [one for one in folder.iterdir() if one.suffix.lower() in _IMAGES]
     if any(is_file(one.with_suffix(".csv")) for one in images):
         return []  # these are scans themselves
+    # by numbers within names: frame 10 comes after frame 9
     return sorted(
         images, key=lambda one: [int(k) if k.isdigit() else k for k in re.split(r"(\d+)", one.name)]
     )
@@ -285,13 +296,16 @@ def _table(scan: Path) -> _Table:
         numbers.append(_number(path, reader.line_num, line, _NUMBER))
         named.append(line.get(_FILE) or "")
     count, number = np.array(counts), np.array(numbers)
+    # without numbers, the order of lines
     number = np.where(np.isfinite(number), number, np.arange(len(named))).astype(np.int64)
     files: tuple[str, ...] = ()
     if folder:
+        # file names only where every line has one
         files = tuple(named) if all(named) else tuple(one.name for one in _frames_in(scan))
         if len(files) != len(named):
             raise DataError(f"{path}: {len(named)} lines for {len(files)} frames in the folder")
         told = set(files)
+        # a frame without a line would be left out silently
         without = [one.name for one in _frames_in(scan) if one.name not in told]
         if without:
             raise DataError(

@@ -77,6 +77,7 @@ def register_side_by_side(
             f"the heads see {len(left)} and {len(right)} balls: three that both see are the least",
             hint="carry one plate through the strip that both heads see",
         )
+    # the smallest distance of two balls of each head: within a third of it a ball is no other's
     gaps = [
         np.sort(np.sqrt(((one[:, None] - one[None]) ** 2).sum(axis=2)), axis=1)[:, 1].min()
         for one in (left, right)
@@ -87,18 +88,23 @@ def register_side_by_side(
     for i in range(len(left)):
         for j in range(len(right)):
             pose = np.eye(4)
+            # heads are mounted alike, so a shift alone is tried first; the fit then finds the turn
             pose[:3, 3] = left[i] - right[j]
             fit = _refined(left, right, pose, near_mm)
+            # a shift that puts a ball where the other head looked and saw none is wrong
             if fit is None or not _contradicts_none(left, right, fit, seen_mm, near_mm):
                 continue
             match = _pairs(left, _carried(right, fit.T_top_bottom), near_mm)
             spread = left[match[0]] - left[match[0]].mean(axis=0)
+            # second singular value: how far the shared balls lie off a straight line
             if np.linalg.svd(spread, compute_uv=False)[1] / math.sqrt(len(spread)) < _LEVER_MIN_MM:
                 in_line = True
                 continue
+            # the same shift is reached by every pair of balls that it lays on each other
             shifts = [abs(one.T_top_bottom[:2, 3] - fit.T_top_bottom[:2, 3]).max() for one in found]
             if not shifts or min(shifts) > near_mm:
                 found.append(fit)
+    # by what is told of the mounting only one may be left
     if apart_mm is not None:
         found = [fit for fit in found if abs(fit.T_top_bottom[1, 3] - apart_mm) <= 1.5 * near_mm]
     if not found:
@@ -124,6 +130,7 @@ def _pairs(left: Floats, carried: Floats, near_mm: float) -> tuple[Integers, Int
     """Give the indices of balls that are each other's nearest."""
     away = np.sqrt(((carried[:, None] - left[None]) ** 2).sum(axis=2))
     match = away.argmin(axis=1)
+    # mutual, so that no ball is laid on two
     mutual = (away.argmin(axis=0)[match] == np.arange(len(carried))) & (away.min(axis=1) < near_mm)
     return np.asarray(match[mutual], np.int64), np.asarray(np.flatnonzero(mutual), np.int64)
 
@@ -134,12 +141,14 @@ def _carried(points: Floats, pose: Floats) -> Floats:
 
 def _refined(left: Floats, right: Floats, pose: Floats, near_mm: float) -> Registration | None:
     best: Registration | None = None
+    # pairs and motion in turn (iterative closest points); few rounds do for so few balls
     for _ in range(10):
         of_left, of_right = _pairs(left, _carried(right, pose), near_mm)
         if len(of_left) < _BALLS_MIN:
             return None
         pose, rms = laid_on(right[of_right], left[of_left])
         best = Registration(pose, rms, len(of_left))
+    # angle of a rotation by its trace
     turned = math.degrees(math.acos(min(1.0, 0.5 * (float(np.trace(pose[:3, :3])) - 1.0))))
     sound = best is not None and best.rms_mm <= OFF_MAX_MM and turned <= _TURNED_MAX_DEG
     return best if sound else None
@@ -151,6 +160,7 @@ def _contradicts_none(
     """Say whether each ball that one head alone has found lies where the other does not look."""
     carried = _carried(right, fit.T_top_bottom)
     of_left, of_right = _pairs(left, carried, near_mm)
+    # each head's lonely balls, in the frame of the other head
     back: Floats = np.asarray(np.linalg.inv(fit.T_top_bottom), np.float64)
     for alone, (low, high) in (
         (np.delete(carried, of_right, axis=0), seen_mm[0]),
@@ -165,6 +175,7 @@ def whole_ball_extent(profiles: Profiles, radius_mm: float) -> Floats:
     """Give (2, 2) the least and the largest (X, Y) at which a ball of this radius would be seen whole, mm."""
     points = profiles.xyz_mm[profiles.seen & np.isfinite(profiles.xyz_mm[..., 0])]
     low, high = (np.quantile(points[:, :2], q, axis=0) for q in (0.001, 0.999))
+    # a ball that is cut off at the side would not have been found
     return np.stack([low + radius_mm, high - radius_mm])
 
 
@@ -186,14 +197,17 @@ def joined(heads: Sequence[Profiles], registrations: Sequence[Registration]) -> 
     points = []
     for k, head in enumerate(heads):
         one = head.xyz_mm
+        # from head to head back to the first: each registration is to its left neighbour
         for m in range(k, 0, -1):
             moved = begun_later(heads[m - 1], heads[m], registrations[m - 1])
             one = _carried(one, registrations[m - 1].T_top_bottom) + moved
         points.append(one)
     step = usual_step(heads[0].xyz_mm, 1)
     low, high = zip(*(_extent(one, head) for one, head in zip(points, heads, strict=True)), strict=True)
+    # from the largest Y down, as rows of an image run
     y = np.arange(max(one[1] for one in high), min(one[1] for one in low), -step)
     at = np.nanmedian(np.where(heads[0].seen, points[0][..., 0], np.nan), axis=1)
+    # only lines that all heads have: where one head saw nothing yet, the scan would change its width
     chosen = (at >= max(one[0] for one in low)) & (at <= min(one[0] for one in high))
     if np.count_nonzero(chosen) < 3:
         raise StageError(
@@ -206,6 +220,7 @@ def joined(heads: Sequence[Profiles], registrations: Sequence[Registration]) -> 
         [_on_grid(one, head, at, y, product) for product in (True, False)]
         for one, head in zip(points, heads, strict=True)
     ]
+    # product before belt: at a rim both may be seen
     heights = [np.where(np.isfinite(body), body, belt) for body, belt in layers]
     levels, scatter = [], []
     for k in range(1, len(heads)):
@@ -215,6 +230,7 @@ def joined(heads: Sequence[Profiles], registrations: Sequence[Registration]) -> 
                 f"heads {k} and {k + 1} see no strip of the belt in common: whether they agree is not known",
                 hint="mount them so that their fields of view overlap",
             )
+        # median and spread of the differences: level and scatter of one head against the other
         off = heights[k][shared] - heights[k - 1][shared]
         levels.append(float(np.median(off)))
         scatter.append(1.4826 * float(np.median(np.abs(off - levels[-1]))))
@@ -224,6 +240,7 @@ def joined(heads: Sequence[Profiles], registrations: Sequence[Registration]) -> 
                 f"and scatter by {scatter[-1]:.2f} mm",
                 hint="has a head been moved since register-heads, or do the scans show different products?",
             )
+    # where several heads see a place, their mean
     body, belt = (_mean([layer[k] for layer in layers]) for k in (0, 1))
     z = np.where(np.isfinite(body), body, belt)
     grid = np.stack([*np.meshgrid(at, y, indexing="ij"), z], axis=-1)
@@ -260,6 +277,7 @@ def _on_grid(points: Floats, head: Profiles, at: Floats, y: Floats, product: boo
         rows = rows[order]
         of_y, of_z = points[nearest, rows, 1], points[nearest, rows, 2]
         after = np.clip(np.searchsorted(of_y, y), 1, rows.size - 1)
+        # neighbours in the row: over points that are missing nothing is joined
         beside = np.abs(rows[after] - rows[after - 1]) == 1
         found[i] = np.where(beside, np.interp(y, of_y, of_z, np.nan, np.nan), np.nan)
     return found

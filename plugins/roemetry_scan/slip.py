@@ -46,15 +46,18 @@ def slip_of(xyz_mm: Floats, others: Mapping[float, Floats]) -> tuple[float, tupl
     if x.size < 3:
         return math.nan, ()
     mine = resampled(xyz_mm, x, y)
+    # of the surface along the belt, per mm
     slope = np.gradient(mine, x, axis=0)
     squares, worst = [], (0.0, 0.0)
     for lag_mm, points in others.items():
+        # heights of one place of the product: what differs is slip, and the stripes' calibrations
         apart = resampled(points, x, y) - mine
         for window in np.array_split(np.arange(x.size), _WINDOWS):
             found = _displacement(apart[window], slope[window])
             if found is None:
                 continue
             share, std = found[0] / abs(lag_mm), found[1] / abs(lag_mm)
+            # what the uncertainty explains is not counted as slip
             squares.append(max(0.0, share**2 - std**2))
             if abs(share) > max(_SHARE_MIN, _SIGNIFICANT * std) and abs(share) > abs(worst[0]):
                 worst = share, std
@@ -63,6 +66,7 @@ def slip_of(xyz_mm: Floats, others: Mapping[float, Floats]) -> tuple[float, tupl
     slip = math.sqrt(float(np.mean(squares)))
     if worst[0] == 0.0:
         return slip, ()
+    # a slip that was plainly seen in one window holds for all: the worst counts
     return max(slip, abs(worst[0])), (
         Reason(
             "slip",
@@ -77,6 +81,7 @@ def _grid(xyz_mm: Floats) -> tuple[Floats, Floats]:
     with np.errstate(all="ignore"):
         x = np.sort(np.nanmedian(xyz_mm[..., 0], axis=1))
     low, high = np.nanquantile(xyz_mm[..., 1], [0.02, 0.98])
+    # lines without any point have no place
     x = x[np.isfinite(x)]
     return x[np.concatenate([[True], np.diff(x) > 1e-9])], np.linspace(low, high, _ACROSS)
 
@@ -86,6 +91,7 @@ def resampled(xyz_mm: Floats, x: Floats, y: Floats) -> Floats:
     lines = len(xyz_mm)
     at_x, height = np.full((lines, y.size), np.nan), np.full((lines, y.size), np.nan)
     for k, line in enumerate(xyz_mm):
+        # along each line first, where points are dense
         known = line[np.isfinite(line[:, 0])]
         if len(known) < 2:
             continue
@@ -105,6 +111,7 @@ def _interpolated(at: Floats, x: Floats, z: Floats) -> Floats:
     """Join neighbours by straight lines; NaN where the next one is missing, or the surface breaks off."""
     found = np.interp(at, x, z, np.nan, np.nan)
     after = np.clip(np.searchsorted(x, at), 1, len(x) - 1)
+    # over a gap or a break no straight line is the surface
     gap, rise = x[after] - x[after - 1], z[after] - z[after - 1]
     return np.where(
         (gap > _GAP_STEPS * np.median(np.diff(x))) | (np.abs(rise) > 3.0 * gap + 0.2), np.nan, found
@@ -113,17 +120,21 @@ def _interpolated(at: Floats, x: Floats, z: Floats) -> Floats:
 
 def _displacement(apart_mm: Floats, slope: Floats) -> tuple[float, float] | None:
     """Give δ and its standard uncertainty, mm, of one window; None where no slope tells it."""
+    # very steep places are walls: a small shift makes any height difference there
     good = np.isfinite(apart_mm) & np.isfinite(slope) & (np.abs(slope) > _SLOPE_MIN) & (np.abs(slope) < 2.0)
     for _ in range(3):
         if np.count_nonzero(good) < _POINTS_MIN:
             return None
+        # Δz = a − δ·z_x
         design = np.column_stack([np.ones(int(good.sum())), -slope[good]])
         fit, *_ = np.linalg.lstsq(design, apart_mm[good], rcond=None)
         left = apart_mm - fit[0] + fit[1] * slope
         spread = 1.4826 * float(np.median(np.abs(left[good]))) + 1e-9
+        # without what lies off by more than noise, three times
         good = good & (np.abs(left) < 4.0 * spread)
     if np.count_nonzero(good) < _POINTS_MIN:
         return None
+    # standard uncertainty of a slope: spread over the root of the regressor's sum of squares
     steep = slope[good] - slope[good].mean()
     sum_of_squares = float(steep @ steep)
     if sum_of_squares < 1e-9:

@@ -57,30 +57,37 @@ def torn_lines(height_mm: Floats, oblique_rows: int) -> Flags:
     lines, rows = height_mm.shape
     found = np.zeros(lines, np.bool_)
     some = height_mm[:, :: max(1, rows // _SAMPLED)]
+    # second differences from line to line: a slope along the belt is none
     bends = np.abs(some[:-2] - 2.0 * some[1:-1] + some[2:])
     known = bends[np.isfinite(bends)]
     if not known.size:
         return found
     # of independent errors σ a bend has √6·σ, a step between two lines √2·σ
     limit_mm = max(_LEAST_MM, _SIGMAS * 1.4826 * float(np.median(known)) / np.sqrt(3.0))
+    # in blocks, for memory; only lines from which many rows jump are looked at closely
     for first in range(2, lines - 2, _AT_ONCE):
         steps = np.abs(np.diff(height_mm[first - 1 : first + _AT_ONCE], axis=0)) > limit_mm
         jumping = first + np.flatnonzero(steps.sum(axis=1) >= _RUN)
         for line in jumping[jumping < lines - 2].tolist():
             here = height_mm[line : line + 2]
+            # one line, or two: more in a row are a step there and back
             for count in (1, 2)[: lines - 2 - line]:
                 around = [height_mm[k] for k in (line - 2, line - 1, line + count, line + count + 1)]
                 if _beside(here[:count], around, limit_mm, oblique_rows):
                     found[line : line + count] = True
     for first in range(1, lines - 1, _AT_ONCE):
         part = height_mm[first - 1 : first + _AT_ONCE + 1]
+        # what is seen over the belt in both neighbours, and not here
         both = (part[:-2] > limit_mm) & (part[2:] > limit_mm)
         unseen, told = np.isnan(part[1:-1]), np.isfinite(part[:-2]) & np.isfinite(part[2:])
         many = (both & unseen).sum(axis=1)
+        # many, and a good share
         for k in np.flatnonzero(many > np.maximum(_UNSEEN_MIN, _UNSEEN_SHARE * both.sum(axis=1))).tolist():
             asked = np.flatnonzero(both[k])
+            # the neighbours see nearly all between: light is not faint there
             clear = told[k, asked[0] : asked[-1] + 1].mean() >= _CLEAR
             found[first + k] |= clear and _longest_run(unseen[k, asked]) >= _ON_END * many[k]
+    # first and last rows of lines are looked at in the same way
     for end in _ends_of_parts(height_mm):
         found |= _outliers(end)
     return found
@@ -131,15 +138,18 @@ def _beside(here: Floats, around: list[Floats], limit_mm: float, oblique_rows: i
     step = np.abs(after - before)
     beside = np.isfinite(step)
     for line in here:
+        # beyond both neighbours, and by more than half of their difference
         over = np.maximum(np.minimum(before, after) - line, line - np.maximum(before, after))
         beside &= (over > limit_mm) & (over > _OF_STEP * step)
     if not _has_run(beside):
         return False
     wide = 2 * oblique_rows + 1
+    # an oblique edge may bring any height of the rows beside into this line
     low = minimum_filter1d(np.fmin.reduce([np.nan_to_num(one, nan=np.inf) for one in (before, after)]), wide)
     high = maximum_filter1d(
         np.fmax.reduce([np.nan_to_num(one, nan=-np.inf) for one in (before, after)]), wide
     )
+    # a ridge or a valley: where the two lines on either side lead to, if they go on straight
     led_to = 2.0 * before - around[0], 2.0 * after - around[3]
     for line in here:
         beside &= (line < low - limit_mm) | (line > high + limit_mm)
@@ -151,6 +161,7 @@ def _beside(here: Floats, around: list[Floats], limit_mm: float, oblique_rows: i
 def _longest_run(marked: Flags) -> int:
     """Give how many marked ones follow each other at most."""
     at = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]])))
+    # beginnings and ends of runs alternate
     return int((at[1::2] - at[::2]).max(initial=0))
 
 

@@ -105,7 +105,10 @@ def shape_of(product: Product, smoothing_mm: float = SMOOTHING_MM) -> Shape:
     if len(cuts.stripe) < SECTIONS_MIN:
         return Shape({})
     features = {**of_surface, **outline_features(product, cuts)}
+    # here of the cuts as the stripes made them: the report draws where something was seen, not where it was
+    # interpolated
     below_mm, dents = hollows_of(cuts)
+    # below and above are told from two references, the hull and the dome; the larger deviation is drawn
     stands_out_mm = np.where(below_mm >= above_mm, -below_mm, above_mm)
     relief = relief_of(cuts, surface_shape(cuts), stands_out_mm, {"dent": dents, "hump": humps}, features)
     return Shape(features, relief)
@@ -114,6 +117,7 @@ def shape_of(product: Product, smoothing_mm: float = SMOOTHING_MM) -> Shape:
 def shape_features(product: Product, smoothing_mm: float = SMOOTHING_MM) -> dict[str, float]:
     """Give the features alone; empty with fewer than three sections."""
     cuts, _, _, of_surface = _surface_of(product.profiles, product.number, smoothing_mm)
+    # an outline alone is no shape: without sections nothing is judged
     return {**of_surface, **outline_features(product, cuts)} if of_surface else {}
 
 
@@ -139,6 +143,8 @@ def _surface_of(profiles: Profiles, number: int, smoothing_mm: float) -> _Surfac
 def features_of(cuts: Sections) -> dict[str, float]:
     """Give the features of a product's surface, of at least three cuts along stripes."""
     frame = in_product_frame(cuts)
+    # sizes and what is missing beyond the ends need whole sections; all that follows only what stands above
+    # the foot
     body = _above_foot(frame.sections)
     return {
         **_size(frame),
@@ -175,20 +181,25 @@ def above_foot(
     for k in range(sections):
         height, across = height_mm[k], across_mm[k]
         level = _FOOT * height.max()
+        # from either edge inwards to the first sample as high as the foot; a dent in between is not looked
+        # for
         low, high = 0, last
         while low < last and height[low] < level:
             low += 1
         while high > 0 and height[high] < level:
             high -= 1
         from_mm, to_mm = across[low], across[high]
+        # back from that sample to where a straight line to its outer neighbour crosses the level
         if low > 0:
             back = (height[low] - level) / max(height[low] - height[low - 1], 1e-9)
             from_mm -= (across[low] - across[low - 1]) * back
         if high < last:
             back = (height[high] - level) / max(height[high] - height[high + 1], 1e-9)
             to_mm -= (across[high] - across[high + 1]) * back
+        # half widths and steps are divided by: nothing may be 0
         half[k] = max(0.5 * (to_mm - from_mm), 1e-6)
         middle[k, 1] += 0.5 * (from_mm + to_mm)
+        # the places that come in are even, so an index is a distance over the step
         step = max((across[last] - across[0]) / last, 1e-12)
         for j in range(SAMPLES):
             at = from_mm + (to_mm - from_mm) * (0.5 + 0.5 * EVEN[j])
@@ -205,6 +216,7 @@ _FOOT = 0.4
 
 def _size(frame: Frame) -> dict[str, float]:
     sections = frame.sections
+    # stripes see an end only by chance; a length without it would depend on where the stripes fell
     length = float(sections.along_mm[-1] + frame.end_missing_mm.sum())
     width, thickness, area, least, middle = size_of(sections.half_width_mm, sections.height_mm)
     return {
@@ -227,6 +239,7 @@ def size_of(half_width_mm: Floats, height_mm: Floats) -> tuple[float, float, flo
     width, full = np.empty(STATIONS), np.empty(STATIONS)
     peak, largest = np.empty(STATIONS), 0.0
     for k in range(STATIONS):
+        # trapezoids: the two edge samples count half
         width[k], peak[k] = 2.0 * half_width_mm[k], height_mm[k].max()
         area = height_mm[k].sum() - 0.5 * (height_mm[k, 0] + height_mm[k, SAMPLES - 1])
         area *= width[k] / (SAMPLES - 1)
@@ -255,13 +268,18 @@ def axis_numbers(
         for j in range(SAMPLES):
             moment += height_mm[k, j] * across_mm[k, j]
             whole += height_mm[k, j]
+        # the centre of area, not of the edges: a bulge to one side moves it though the edges stay straight
         of_area[k] = middle[k] + moment / max(whole, 1e-9)
+    # m(s) off the axis at even stations; every fit below is a constant row times this
     off = middle[_ALONG].copy()
     level, slope, bend = _dot(_LINE[0], off), _dot(_LINE[1], off), 0.0
     for k in range(off.size):
         bend = max(bend, abs(off[k] - level - slope * _PLACES[k]))
+    # the even wave (W): the coefficient of P₄, of all stations but the outer two
     wave = _dot(_FIFTH_WAVE, middle[_ENDLESS].copy())
+    # kinks of the line through the centres of area, and of the one midway between the edges
     (turn, left), (of_edges, _) = _kink(of_area), _kink(middle)
+    # stations are even, so the second one's place is the step, mm; mm a station over mm a station is a slope
     step = along_mm[1]
     return (
         bend, abs(_dot(_BOW, off)), abs(_dot(_S_BEND, off)), abs(wave),
@@ -278,9 +296,11 @@ def _dot(one: Floats, other: Floats) -> float:
 
 
 _POWERS = np.linspace(-1.0, 1.0, STATIONS)[_ALONG, None] ** np.arange(4)
+# scaled so that the outermost station kept is at ±1: coefficients are then mm at the ends
 _POWERS /= np.abs(_POWERS[0, 1]) ** np.arange(4)
 _PLACES = _POWERS[:, 1].copy()
 _LINE, _BOW, _S_BEND = (
+    # rows of the pseudo-inverse: a coefficient of the fit is one scalar product
     np.ascontiguousarray(np.linalg.pinv(_POWERS[:, : degree + 1])[part])
     for degree, part in ((1, slice(0, 2)), (2, 2), (3, 3))
 )
@@ -291,9 +311,12 @@ def _hinges() -> tuple[Floats, Floats]:
     """(hinge, station) lines with one kink, free of their straight part, of length 1; and these lengths."""
     at = np.arange(STATIONS, dtype=np.float64)[_ENDLESS]
     straight = np.stack([np.ones_like(at), at], axis=1)
+    # 0 before its corner, rising by one a station after it: its coefficient is the turn
     hinge = np.maximum(at[:, None] - at[_REACH:-_REACH], 0.0)
+    # without its straight part, so that a slanted but straight line has no kink
     rest = hinge - straight @ np.linalg.lstsq(straight, hinge, rcond=None)[0]
     length = np.sqrt((rest**2).sum(axis=0))
+    # length 1: the scalar product with a hinge is then what it explains, and hinges can be compared
     return np.ascontiguousarray((rest / length).T), length
 
 
@@ -316,6 +339,7 @@ _FIFTH_WAVE = np.ascontiguousarray(
 def _kink(off_mm: Floats) -> tuple[float, float]:
     """Turn in mm a station, and what is left, rms mm, of the line with one kink that fits best."""
     off = off_mm[_ENDLESS].copy()
+    # level and slope go first; what is left is explained by a hinge or by nothing
     off -= off.mean()
     off -= _LEVER * _dot(_LEVER, off)
     best, most = 0, 0.0
@@ -323,7 +347,9 @@ def _kink(off_mm: Floats) -> tuple[float, float]:
         along = _dot(_HINGES[k], off)
         if abs(along) > abs(most):
             best, most = k, along
+    # Pythagoras: the hinge is of length 1 and is square to the straight part
     left = math.sqrt(max(_dot(off, off) - most * most, 0.0) / off.size)
+    # back from the hinge of length 1 to mm a station
     return abs(most / _HINGE_LENGTHS[best]), left
 
 
@@ -343,12 +369,16 @@ def lean_numbers(height_mm: Floats, half_width_mm: Floats) -> tuple[float, float
     lean, ratio = np.empty((2, STATIONS)), np.empty(STATIONS)
     for k in range(STATIONS):
         for part in range(2):
+            # weights times heights is mm over half widths; divided by the half width it is a slope
             lean[part, k] = math.degrees(math.atan(_dot(_LEANS[part], height_mm[k]) / half_width_mm[k]))
         # A section that is turned about its middle is narrower and higher than one that lies flat.
         ratio[k] = height_mm[k].max() / max(2.0 * half_width_mm[k], 1e-9)
     inner = lean[0]
+    # _U has mean 0: the level of the lean does not enter its slope
     turn = _dot(_U, inner) / _dot(_U, _U)  # over half the length: stations are even
+    # what neither level nor even twist explains: a lean that jumps along the product
     rest = (inner - inner.mean() - turn * _U)[_ALONG]
+    # the middle fifth of the length: a ratio at the ends is of thin, uncertain sections
     middle = median_of(ratio[2 * _FIFTH : -2 * _FIFTH].copy())
     along = inner[_ALONG]
     return (
@@ -359,6 +389,8 @@ def lean_numbers(height_mm: Floats, half_width_mm: Floats) -> tuple[float, float
 
 def _lean_weights(part: tuple[float, float]) -> Floats:
     """(sample,) what gives, of heights, the mean slope to one side over part of the half width."""
+    # 1/t is odd: whatever is alike on both sides, a dome, cancels; what is left is the slope from side to
+    # side
     weights = np.where((np.abs(EVEN) > part[0]) & (np.abs(EVEN) < part[1]), 1.0, 0.0)
     return np.asarray(weights / np.where(weights > 0.0, EVEN, 1.0) / weights.sum())
 
@@ -369,6 +401,7 @@ _LEANS = np.stack([_lean_weights(part) for part in (_INNER, _SHOULDER)])
 
 @float_kernel
 def _end_to_end(values: Floats) -> float:
+    # the mean of five stations against that of the last five, not one noisy section against another
     seventh = STATIONS // 7
     return float(abs(values[:seventh].mean() - values[-seventh:].mean()))
 
@@ -377,6 +410,7 @@ def _hollows(sections: Sections) -> dict[str, float]:
     """Depths below the hulls across and along, and the dents: regions below those across."""
     of = sections.along_mm, sections.half_width_mm, sections.height_mm, sections.across_mm
     across, *numbers = hollow_numbers(*of)
+    # less area than the patch is noise that happens to exceed the least depth
     dents = [one for one in regions_of(across, sections, DENT_LEAST_MM) if one.area_mm2 >= _PATCH_MM2]
     return {
         **dict(zip(_HOLLOWS, numbers, strict=True)),
@@ -405,20 +439,26 @@ def hollow_numbers(
     s, surface = np.empty((lines, stations)), np.empty((lines, stations))
     for line in range(lines):
         for k in range(stations):
+            # along the product every second sample is followed; its neighbours show the same saddle
             s[line, k], surface[line, k] = along_mm[first + k], height_mm[first + k, _LINES[line]]
     along = hollow_depth(s, surface)
     saddles, deepest, cup = np.empty(lines), np.empty(STATIONS), np.empty((stations, lines))
     for line in range(lines):
         saddles[line] = along[line].max()
         for k in range(stations):
+            # the lesser of the two depths: a cup is closed on all sides, a groove or a saddle in one
+            # direction only
             cup[k, line] = min(across[first + k, _LINES[line]], along[line, k])
     sample, volume = np.empty(STATIONS), 0.0  # mm² of a sample
     for k in range(STATIONS):
         deepest[k] = across[k].max()
+        # width of a sample times the distance of stations, mm²
         sample[k] = 2.0 * half_width_mm[k] / (SAMPLES - 1) * along_mm[1]
+    # only every second sample is a line, so each stands for two
     every_second = 2.0 * sample[first : first + stations]
     for k in range(stations):
         volume += cup[k].sum() * every_second[k]
+    # the third deepest of the lines: one or two of them may be noise
     third = nth_smallest(saddles, lines - 3)
     return (
         across, depth_reached(across, sample, _PATCH_MM2), median_of(deepest), across.mean(), third,
@@ -430,6 +470,7 @@ def hollow_numbers(
 @kernel
 def depth_reached(depth: Floats, area_mm2: Floats, patch_mm2: float) -> float:
     """Depth that so much of the surface reaches: (row, sample) depths, and (row,) each sample's area."""
+    # were all samples as small as the smallest, so many would reach the patch: no more need to be kept
     most = min(int(patch_mm2 / area_mm2.min()) + 1, depth.size)
     deepest, area = np.full(most, -np.inf), np.zeros(most)
     for row in range(depth.shape[0]):
@@ -437,12 +478,14 @@ def depth_reached(depth: Floats, area_mm2: Floats, patch_mm2: float) -> float:
             value, k = depth[row, sample], most - 1
             if not value > deepest[k]:
                 continue
+            # insertion into the list of the deepest, in falling order
             while k > 0 and value > deepest[k - 1]:
                 deepest[k], area[k] = deepest[k - 1], area[k - 1]
                 k -= 1
             deepest[k], area[k] = value, area_mm2[row]
     total = 0.0
     for k in range(most):
+        # from the deepest on, until the patch is filled: the depth of the sample that fills it
         total += area[k]
         if total >= patch_mm2:
             return float(deepest[k])
@@ -458,6 +501,7 @@ def _pits(sections: Sections) -> dict[str, float]:
 @kernel
 def pit_numbers(along_mm: Floats, half_width_mm: Floats, height_mm: Floats) -> tuple[float, float, float]:
     """Give the depth of pits below the dome, and how far the surface is off it, rms and median, mm."""
+    # ends and edges, where the surface is steep, are left out
     off = (height_mm - dome_over(along_mm, height_mm))[_ALONG, _EDGE : SAMPLES - _EDGE].copy()
     sample = 2.0 * half_width_mm[_ALONG] / (SAMPLES - 1) * along_mm[1]
     pit = max(depth_reached(-off, sample, _PATCH_MM2), 0.0)
@@ -481,20 +525,26 @@ _OF_RUNS = ("end_low", "end_high", "tenth_low", "tenth_high", "arch", "dip", "bu
 def run_numbers(height_mm: Floats, half_width_mm: Floats) -> Floats:
     """Give (run, number) what `_OF_RUNS` names, of peaks, the ridge and half widths."""
     share, found = np.empty(STATIONS), np.empty((3, len(_OF_RUNS)))
+    # peak: the highest point wherever it is; ridge: the height at the middle, which a dent on the ridge
+    # lowers
     for run in range(3):
         for k in range(STATIONS):
             share[k] = height_mm[k].max() if run == 0 else height_mm[k, SAMPLES // 2]
             share[k] = half_width_mm[k] if run == 2 else share[k]
+        # shares, so that large and small products have the same numbers
         share /= max(share.max(), 1e-9)
         rest, arch = share.copy(), 0.0
         for degree in range(5):
             term = _dot(_QUARTIC_FIT[degree], share)
+            # P₂ rises to the ends: a run that is highest in the middle has a negative coefficient
             arch = -term if degree == 2 else arch
             for k in range(STATIONS):
                 rest[k] -= term * _QUARTIC[k, degree]
         for n, at in enumerate((0, _TENTH)):
+            # sorted: which end is the head is not known
             one, other = share[at], share[STATIONS - 1 - at]
             found[run, 2 * n], found[run, 2 * n + 1] = min(one, other), max(one, other)
+        # the outer stations fall by nature: no dip or bump is told there
         found[run, 4], found[run, 5], found[run, 6] = arch, -rest[3:-3].min(), rest[3:-3].max()
         found[run, 7] = math.sqrt((rest * rest).mean())
     return found
@@ -513,11 +563,13 @@ def _beyond(cuts: Sections, pitch_mm: float) -> dict[str, float]:
     More than one was looked for and not found: there the product is cut off.
     """
     told = {}
+    # of a rounded end both the area and the squared width fall linearly to nothing
     for name, size in (("area", cuts.area_mm2.tolist()), ("width", (cuts.half_width_mm**2).tolist())):
         most = 0.0
         for outer, inner in ((0, 1), (-1, -2)):
             step = abs(float(cuts.along_mm[inner] - cuts.along_mm[outer]))
             fall = (size[inner] - size[outer]) / max(step, 1e-3)
+            # an end that does not fall is cut off, and would go on for as many stripes as one counts
             most = max(most, size[outer] / fall / max(pitch_mm, 1e-3) if fall > 0.0 else _MISSING_MOST)
         told[f"stripes_missing_by_{name}"] = min(most, _MISSING_MOST)
     return told

@@ -1,4 +1,19 @@
-"""Classes by a fuzzy rule base over features."""
+"""Classes by a fuzzy rule base over features (Zadeh 1965; Mamdani and Assilian 1975).
+
+Model. A term is a word about one feature, whose truth is a polygon over the feature's values, constant beyond
+its ends. Then
+
+    truth(not t)  = 1 − truth(t)
+    truth(rule)   = min over its terms
+    truth(class)  = max over its rules
+
+and the truest class is the answer. It is `unknown` where no class reaches `truth_min`, where the second is
+more than half as true as the first, and where two standard uncertainties of one feature make another class
+truest.
+
+Assumed: the terms are right for the population and the rig; nothing is learned. A truth is not a probability.
+It fails where a feature cannot be measured: its terms are then false, and what a rule asks not to be is true.
+"""
 
 from __future__ import annotations
 
@@ -96,6 +111,7 @@ class FuzzyRules(Classifier[FuzzyRulesOptions]):
         """Judge features that were measured already."""
         if not features:
             return Grade(UNKNOWN, reasons=(Reason("too-few-sections", _FEW),))
+        # a rule that cannot be read would count as false and another class might win by it
         missing = sorted({term.feature for term in self.options.terms.values()} - set(features))
         if missing:
             why = f"there is no feature {missing[0]}; there are {', '.join(sorted(features))}"
@@ -110,6 +126,7 @@ class FuzzyRules(Classifier[FuzzyRulesOptions]):
             why = " and ".join(f"{name} ({value:.2f})" for name, value in ranked[:2]) + " are nearly as true"
             return Grade(UNKNOWN, features=told, reasons=(Reason("rules-tie", why),))
         label, truth = ranked[0]
+        # every feature that a term names may tip the balance, not only the winner's
         doubt = decisive_feature(
             features, {term.feature for term in self.options.terms.values()}, label, self._truest
         )
@@ -127,15 +144,19 @@ class FuzzyRules(Classifier[FuzzyRulesOptions]):
         truths: dict[str, float] = {}
         for rule in self.options.rules:
             each = [
+                # Zadeh's complement
                 1.0 - terms[word.removeprefix(_NOT)] if word.startswith(_NOT) else terms[word]
                 for word in rule.when
             ]
+            # all terms of a rule must hold (the least counts), one rule of a class suffices (the largest
+            # counts)
             truths[rule.label] = max(truths.get(rule.label, 0.0), min(each))
         return truths
 
 
 def _truth(term: Term, value: float) -> float:
     if math.isnan(value):
+        # a value that is not known makes its term false, and `not` the term true
         return 0.0
     places, degrees = zip(*term.points, strict=True)
     return float(np.interp(value, places, degrees))

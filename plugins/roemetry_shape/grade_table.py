@@ -92,6 +92,7 @@ class GradeTableOptions(StageOptions):
 
     @model_validator(mode="after")
     def _is_whole(self) -> GradeTableOptions:
+        # missing limits are infinite ends; that every product has a class is then a matter of cells
         ranges = [
             {
                 name: (
@@ -109,6 +110,7 @@ class GradeTableOptions(StageOptions):
             if (meant := _misspelt(name))
         ]
         if not found:  # two spellings of a quantity overlap, and leave gaps, where one would not
+            # done second: a misspelt name would be reported as gaps that nobody understands
             found = faults_of(
                 [row.label for row in self.classes],
                 ranges,
@@ -150,17 +152,22 @@ class GradeTable(Grader[GradeTableOptions]):
         for row in self.options.classes:
             verdict, why = self._asked(row, found)
             if verdict == "out":
+                # broken beyond doubt: whatever is not known of it no longer matters
                 said.append(Reason("class-refused", f"{row.label}: {why}"))
                 continue
             possible.append(row)
+            # the first that fits wins, so nothing below can change the answer
             if verdict == "in":
                 proven = row
                 said.append(Reason("class-proven", f"{row.label}: {why}"))
                 break
             said.append(Reason("class-open", f"{row.label}: {why}"))
+        # one class only is possible: it is the answer even if one of its own limits is open, since every
+        # product has a class
         chosen = possible[0] if len(possible) == 1 else None
         if chosen is not None and chosen is not proven:
             said.append(Reason("class-left", f"{chosen.label}: every other class is ruled out"))
+        # several are possible; the caller may prefer the sure one, which need not be the first
         if chosen is None and proven is not None and self.options.unproven == "next":
             chosen = proven
             passed = ", ".join(row.label for row in possible if row is not proven)
@@ -168,6 +175,7 @@ class GradeTable(Grader[GradeTableOptions]):
         return Decision(
             label=UNDECIDED if chosen is None else chosen.label,
             lane=self.options.undecided_lane if chosen is None else chosen.lane,
+            # two rows may share a label, as where a class has two ranges
             possible=tuple(dict.fromkeys(row.label for row in possible)),
             reasons=tuple(said),
         )
@@ -177,6 +185,7 @@ class GradeTable(Grader[GradeTableOptions]):
         asked = [_shape(row.shape, found.grade)] if row.shape else []
         factor = self.options.guard_factor
         asked += [_limit(name, limits, found, factor) for name, limits in row.limits.items()]
+        # one broken limit rules a class out however many are open; so "out" is looked for first
         for wanted in ("out", "open"):
             for verdict, why in asked:
                 if verdict == wanted:
@@ -190,11 +199,13 @@ _SHAPE_PROBABILITY_MIN = 0.95
 
 def _shape(wanted: tuple[str, ...], grade: Grade | None) -> tuple[Verdict, str]:
     asked = " or ".join(wanted)
+    # nothing known speaks neither for nor against
     if grade is None or grade.label == "unknown":
         return "open", f"the shape is not known, {asked} is required"
     sure = _sure(wanted, grade)
     if math.isnan(sure):
         sure = float(grade.label in wanted)
+    # what has to be likely is the verdict: that it is wanted, or that it is not
     if 1.0 - _SHAPE_PROBABILITY_MIN < sure < _SHAPE_PROBABILITY_MIN:
         return "open", f"the shape is {grade.label}, {asked} has a probability of {sure:.2f}"
     is_wanted = sure >= _SHAPE_PROBABILITY_MIN
@@ -209,10 +220,11 @@ def _sure(wanted: tuple[str, ...], grade: Grade) -> float:
         return math.nan
     begin = "probability_"
     stated = {name.removeprefix(begin): p for name, p in grade.features.items() if name.startswith(begin)}
+    # without any probability of those wanted, all that the label leaves could be theirs
     if grade.label not in wanted and not any(label in stated for label in wanted):
         return 1.0 - grade.probability
     stated[grade.label] = grade.probability
-    # `not-good` is all defects together: it is not added to theirs.
+    # Defects exclude each other, so their probabilities add. `not-good` is all of them together.
     together = [stated.get(label, 0.0) for label in wanted if label.startswith("not-")]
     single = sum(stated.get(label, 0.0) for label in wanted if not label.startswith("not-"))
     return min(1.0, max(single, *together, 0.0))
@@ -222,6 +234,7 @@ def _limit(name: str, limits: Limits, found: Quantities, factor: float) -> tuple
     value, std = found.value(name), found.std(name)
     if math.isnan(value):
         return "open", found.why_missing(name)
+    # without a guard band the value alone decides, and no uncertainty is asked for
     if factor > 0.0 and math.isnan(std):
         known = found.known_part(name)
         part = f" ± {known:.2g} or more" if known > 0.0 else ""
@@ -230,8 +243,10 @@ def _limit(name: str, limits: Limits, found: Quantities, factor: float) -> tuple
     at_least = -math.inf if limits.at_least is None else limits.at_least
     below = math.inf if limits.below is None else limits.below
     is_said = f"{name} is {value:.4g}" + ("" if math.isnan(std) else f" ± {std:.2g}")
+    # half-open: a value at `below` itself is already out
     if value + guard < at_least or value - guard >= below:
         return "out", f"{is_said}, {_range(limits)} is required"
+    # all that the value may be lies within
     if value - guard >= at_least and value + guard < below:
         return "in", f"{is_said}, {_range(limits)} is met"
     return "open", f"{is_said}, too close to the limit ({_range(limits)}) to decide"
@@ -281,6 +296,7 @@ class Quantities:
         self.grade = grade
         self._stated = stated
         self._estimates = _estimates(volume, weight)
+        # where two state the same feature, the later source counts
         self._features = {} if product.outline is None else dict(product.outline.features)
         self._features |= {} if weight is None else weight.features
         self._features |= {} if grade is None else grade.features
@@ -298,15 +314,18 @@ class Quantities:
         Of a volume or weight a run states the whole where it states an interval. Else the table's word
         counts, but for no less than the part that the run knows.
         """
+        # the interval is the sign that every part of the uncertainty is in it
         estimate = self._estimates.get(name)
         if estimate is not None and all(map(math.isfinite, estimate.interval)):
             return estimate.std
+        # the table's word stands in for what the run cannot state, but cannot be less than what it knows
         stated = self._stated.get(name, math.nan)
         return stated if math.isnan(stated) else max(stated, self.known_part(name))
 
     def known_part(self, name: str) -> float:
         """Give what the run knows of the uncertainty of a quantity; 0 for nothing."""
         if (estimate := self._estimates.get(name)) is not None:
+            # a budget's parts are independent and add in squares
             parts = [estimate.std, math.hypot(*estimate.budget.values())]
         else:
             parts = [self._features_std.get(name, math.nan), self._features.get(f"{name}_std", math.nan)]
@@ -323,6 +342,7 @@ class Quantities:
 def _estimates(volume: Volume | None, weight: Weight | None) -> dict[str, Estimate]:
     found = {}
     if weight is not None:
+        # an interval that does not hold the air below the product is taken away, so that the limit stays open
         in_part = any(reason.code == _AIR_WEIGHED for reason in weight.reasons)
         found[WEIGHT] = replace(weight.mass_g, interval=(math.nan, math.nan)) if in_part else weight.mass_g
     if volume is not None:
@@ -375,20 +395,24 @@ def faults_of(
     cells = _Cells(ranges, shapes)
     if cells.count > CELLS_MAX:
         said = f"the limits cut the quantities into {cells.count:,} cells: too many to look for gaps"
+        # before any array is made: the number of cells grows as a product over the quantities
         return [(("classes",), f"{said}; use fewer quantities")]
     taken = [cells.of(one, shape) for one, shape in zip(ranges, shapes, strict=True)]
     faults: list[Fault] = []
     before = np.zeros_like(cells.real)
     for number, mine in enumerate(taken):
+        # in no cell the first to fit: it can never be given
         if not (mine & ~before).any():
             said = "no product comes this far: the classes before take all of it"
             faults.append((("classes", number, "label"), f"{said}; put it before them, or leave it out"))
-        elif overlaps_are_faults:
+        elif overlaps_are_faults:  # of a class that is never reached, its overlaps would be a second fault
             faults += _overlaps(number, labels, taken, cells)
+        # what is taken up to here; later classes only matter in what is left
         before |= mine
     left = cells.real & ~before
     if left.any():
         where = cells.named(left)
+        # a gap belongs to no row: the fault points behind the last
         said = f"there is a gap: no class takes {where}; widen a class, or add a last one without limits"
         faults.append((("classes", len(labels)), said))
     return faults
@@ -400,6 +424,7 @@ def _overlaps(number: int, labels: Sequence[str], taken: Sequence[Any], cells: _
         other = taken[earlier]
         both = mine & other
         # A class within a later, wider one is what "the first wins" is for.
+        # both share cells, and the earlier one also has some of its own: neither is a part of the other
         if both.any() and (other & ~mine).any():
             said = (
                 f"overlaps class {labels[earlier]!r} at {cells.named(both)}; move a limit, or say "
@@ -415,6 +440,7 @@ class _Cells:
     def __init__(self, ranges: Sequence[Mapping[str, Range]], shapes: Sequence[Sequence[str]]) -> None:
         self._names = list(dict.fromkeys(name for one in ranges for name in one))
         self._edges = {name: _edges(ranges, name) for name in self._names}
+        # "" stands for every shape that no class names
         self._shapes = [*dict.fromkeys(shape for one in shapes for shape in one), ""]
         self._size = (len(self._shapes), *(len(self._edges[name]) - 1 for name in self._names))
         self.count = math.prod(self._size)
@@ -422,6 +448,8 @@ class _Cells:
         if self.count > CELLS_MAX:
             return
         for axis, name in enumerate(self._names, start=1):
+            # a range wholly below 0 holds no product, so it needs no class; a quantity per mm may well be
+            # negative
             if name.endswith(_NEVER_NEGATIVE) and "_per_" not in name:
                 self.real &= self._along(axis, [high > 0.0 for _, high in self._ranges(name)])
 
@@ -430,6 +458,8 @@ class _Cells:
         mine = self.real & self._along(0, [not shape or one in shape for one in self._shapes])
         for axis, name in enumerate(self._names, start=1):
             low, high = ranges.get(name, (-math.inf, math.inf))
+            # every limit of every class is an edge, so a range lies wholly within a class's own or wholly
+            # outside
             mine &= self._along(axis, [low <= a and b <= high for a, b in self._ranges(name)])
         return mine
 
@@ -452,11 +482,13 @@ class _Cells:
 
     def _along(self, axis: int, values: list[bool]) -> Any:
         shape = [1] * len(self._size)
+        # along one axis only; numpy spreads it over the others
         shape[axis] = len(values)
         return np.array(values, np.bool_).reshape(shape)
 
 
 def _edges(ranges: Sequence[Mapping[str, Range]], name: str) -> list[float]:
+    # infinite ends: what lies beyond the outer limits must belong to a class, too
     return sorted({-math.inf, math.inf, *(edge for one in ranges if name in one for edge in one[name])})
 
 

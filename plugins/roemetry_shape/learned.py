@@ -120,6 +120,7 @@ class Learned(Classifier[LearnedOptions]):
         if isinstance(model, GoodReference):
             return model.judge(features)
         values = model.values(features)
+        # novelty is asked before the class: a regression is as sure of what it has never seen
         novelty = model.novelty(values)
         by_class = dict(zip(model.classes, model.probabilities(values).tolist(), strict=True))
         told = {**features, **{f"probability_{name}": value for name, value in by_class.items()}}
@@ -127,8 +128,10 @@ class Learned(Classifier[LearnedOptions]):
             told[f"probability_not-{model.good}"] = 1.0 - by_class[model.good]
         told["novelty"] = novelty.value
         if novelty.value > 1.0:
+            # no probability: those of the classes say nothing of a product that is of none
             return Grade(UNKNOWN, math.nan, told, (Reason("unlike-anything-learned", _unlike(novelty)),))
         label = _decided(by_class, model)
+        # the recipe may be stricter than the model, never laxer
         least = max(self.options.probability_min, model.stated_from)
         if by_class[label] >= least:
             return Grade(label, by_class[label], told, (Reason("learned-class", _said(by_class)),))
@@ -171,9 +174,11 @@ def _unlike(novelty: Novelty) -> str:
 
 def _decided(by_class: dict[str, float], model: LearnedModel) -> str:
     """Good from `good_from` on; else the likeliest of the others."""
+    # good by its own limit, at which what is kept and what is caught were balanced, not by being likeliest
     if model.good and by_class[model.good] >= model.good_from:
         return model.good
     others = {name: value for name, value in by_class.items() if name != model.good}
+    # how likely it is that it is none of them was decided above; here only which
     return max(others, key=lambda name: others[name])
 
 
@@ -212,6 +217,7 @@ class LearnedModel:
     def values(self, features: Mapping[str, float]) -> Floats:
         """Put features in the model's order; the median of the samples where one is missing."""
         values = np.array([features.get(name, np.nan) for name in self.features])
+        # a missing feature counts as an ordinary one
         return np.where(np.isfinite(values), values, self.fill)
 
     def probabilities(self, values: Floats) -> Floats:
@@ -281,6 +287,7 @@ def load_model(path: Path) -> LearnedModel | GoodReference:
 
 def _softmax(logits: Floats) -> Floats:
     """Probabilities of logits, along the last axis."""
+    # the largest is taken off first: exp of a large logit overflows
     raised = np.exp(logits - logits.max(axis=-1, keepdims=True))
     return np.asarray(raised / raised.sum(axis=-1, keepdims=True))
 
@@ -338,6 +345,7 @@ def fit_classifier(samples: Samples, *, good: str, smoothing_mm: float) -> Fitte
         raise DataError("there are only sizes in the table", hint="features of shape are needed")
     names = tuple(samples.features[k] for k in taken)
     values, labels = samples.values[:, taken], np.array(samples.labels)
+    # sorted, so that classes have the same order in every run
     classes, counts = np.unique(labels, return_counts=True)
     if not len(classes):
         raise DataError("there are no samples", hint="a classifier needs at least five good products")
@@ -345,10 +353,12 @@ def fit_classifier(samples: Samples, *, good: str, smoothing_mm: float) -> Fitte
         raise DataError(
             f"no product is labelled `{good}`", hint=f"--good is one of {', '.join(map(str, classes))}"
         )
+    # with nothing that varies, a regression is its intercept
     if not (np.nanstd(values, axis=0) > 0).any():
         raise DataError("no feature varies: the samples are all alike", hint="are the features in the table?")
     if len(classes) == 1:
         good = str(classes[0])
+    # too few for probabilities; with a good class they are still enough to know what is good
     if len(classes) == 1 or (len(labels) < REGRESSION_MIN and good):
         return _reference(names, values, labels, good, smoothing_mm)
     few = [f"`{name}` ({n})" for name, n in zip(classes, counts, strict=True) if n < PER_CLASS_MIN]
@@ -357,6 +367,7 @@ def fit_classifier(samples: Samples, *, good: str, smoothing_mm: float) -> Fitte
             f"too few products of {', '.join(few)}; at least {PER_CLASS_MIN} of each class are needed",
             hint="is a label misspelt? otherwise collect more, or leave the class out",
         )
+    # as numbers from 0: `_folds` counts with them
     groups = np.unique(np.array(samples.groups), return_inverse=True)[1]
     return _regression_fit(names, values, labels, groups, good, smoothing_mm)
 
@@ -382,17 +393,21 @@ def adapted(model: LearnedModel | GoodReference, samples: Samples) -> Fitted:
     good = labels == model.good
     _enough_good(int(good.sum()), model.good)
     values = samples.values[:, [samples.features.index(name) for name in model.features]]
+    # the model's own fill, as where it judges
     values = np.where(np.isfinite(values), values, model.fill)
     of_good = np.array([model.probabilities(row)[model.classes.index(model.good)] for row in values])
     own = values[good]
+    # how far the good ones of this line lie beyond what the model has seen
     outside = float(excess_norm(model.seen.excess(own)).max())
     fitted = replace(
         model,
+        # limits only ever give way: what this line makes well is good here
         good_from=min(model.good_from, float(of_good[good].min())),
         stated_from=0.0,
         distance_max=max(model.distance_max, float(model.seen.distances(own).max())),
         excess_max=max(model.excess_max, outside),
     )
+    # kept is counted at the limit the model came with: at the new one all good ones are kept by construction
     kept, caught = of_good[good] >= model.good_from, of_good[~good] < fitted.good_from
     figures = _kept_and_caught(kept, caught)
     counts = {str(name): int((labels == name).sum()) for name in np.unique(labels)}
@@ -455,9 +470,12 @@ def _regression_fit(
     logits = np.zeros((len(labels), len(classes)))
     for known, asked in folds:
         weights, intercepts = _regression(values[known], which[known], len(classes))
+        # out of sample: each product is judged by weights that it did not teach
         logits[asked] = arcsinh_scale(values[asked]) @ weights.T + intercepts
+    # the folds' logits are too sure or too timid by a common factor, which scales all weights
     power = _temperature(logits, which)
     probabilities = _softmax(power * logits)
+    # the shipped weights are of all samples; limits and figures are those of the folds
     weights, intercepts = _regression(values, which, len(classes))
     good_from = _good_from(probabilities, labels, classes, good)
     stated_from = _stated_from(probabilities, labels, classes, good, good_from)
@@ -492,6 +510,7 @@ def _regression_fit(
 
 
 def _filled(values: Floats) -> tuple[Floats, Floats]:
+    # a feature that no sample has is 0 for all, and so tells nothing
     with np.errstate(all="ignore"):
         fill = np.array([np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0 for c in values.T])
     return np.where(np.isfinite(values), values, fill), fill
@@ -502,19 +521,24 @@ def _regression(values: Floats, which: Integers, classes: int) -> tuple[Floats, 
     from scipy.optimize import minimize
 
     scaled = arcsinh_scale(values)
+    # in standard deviations, so that the penalty weighs all features alike
     mean, std = scaled.mean(axis=0), np.maximum(scaled.std(axis=0), _STD_MIN)
+    # the column of ones is the intercept
     x = np.column_stack([(scaled - mean) / std, np.ones(len(scaled))])
     true = np.eye(classes)[which]
+    # the intercept is not drawn towards 0: it says how frequent a class is
     penalty = PENALTY * np.concatenate([np.ones(x.shape[1] - 1), [0.0]])
 
     def loss(flat: Floats) -> tuple[float, Floats]:
         """Give the penalised cross-entropy of weights and intercepts, and its gradient."""
         w = flat.reshape(classes, -1)
         p = _softmax(x @ w.T)
+        # a probability that underflows has a loss of 690, not infinity
         value = -np.log(np.maximum((p * true).sum(axis=1), 1e-300)).sum() + 0.5 * (penalty * w**2).sum()
         return float(value), ((p - true).T @ x + penalty * w).ravel()
 
     w = minimize(loss, np.zeros(classes * x.shape[1]), jac=True, method="L-BFGS-B").x.reshape(classes, -1)
+    # back from standard deviations to the features themselves
     weights = w[:, :-1] / std
     return weights, w[:, -1] - weights @ mean
 
@@ -526,8 +550,11 @@ _STD_MIN = 1e-6
 def _folds(labels: np.ndarray, groups: Integers) -> Folds:
     """Known and asked samples, fold by fold; a group is never on both sides, classes are spread evenly."""
     count = int(groups.max()) + 1
+    # classes of groups, by their first sample
     first = np.array([int(np.argmax(groups == k)) for k in range(count)])
+    # sorted by class, at random within it; dealt out in turn, every fold gets its share of each class
     order = np.lexsort([np.random.default_rng(_SEED).random(count), labels[first]])
+    # fewer groups than folds: each group is held out by itself
     fold = np.empty(count, np.int64)
     fold[order] = np.arange(count) % min(FOLDS, count)
     of_sample = fold[groups]
@@ -538,6 +565,7 @@ def _farthest(values: Floats, labels: np.ndarray, folds: Folds) -> tuple[float, 
     """Distance from the classes, and beyond all values, that the others taught; all but 0.5 % keep it."""
     far, outside = [], []
     for known, asked in folds:
+        # what is seen must not hold those who are asked, or nothing would be novel
         seen = seen_classes(values[known], labels[known])
         far.append(seen.distances(values[asked]))
         outside.append(excess_norm(seen.excess(values[asked])))
@@ -546,6 +574,7 @@ def _farthest(values: Floats, labels: np.ndarray, folds: Folds) -> tuple[float, 
 
 def _temperature(logits: Floats, which: Integers) -> float:
     """Factor with the least log loss on held-out samples: 1 leaves the logits as they are."""
+    # from a fifth to six, 6 % apart: the least of a flat curve, which needs no finer step
     powers = np.geomspace(0.2, 6.0, 60)
     at = np.arange(len(which)), which
     losses = [-np.log(np.maximum(_softmax(power * logits)[at], 1e-300)).mean() for power in powers]
@@ -559,15 +588,19 @@ def _good_from(probabilities: Floats, labels: np.ndarray, classes: np.ndarray, g
     are not told from it: within one standard error (Breiman et al. 1984, section 3.4.3).
     """
     if not good:
+        # without a good class nothing is called good; the value is not used
         return 0.5
     of_good = probabilities[:, int(np.searchsorted(classes, good))]
     limits = np.linspace(0.02, 0.98, 97)
+    # shares at each limit: of good ones kept, of the others caught
     kept = np.array([(of_good[labels == good] >= limit).mean() for limit in limits])
     caught = np.array([(of_good[labels != good] < limit).mean() for limit in limits])
     balanced = 0.5 * (kept + caught)
     best = int(balanced.argmax())
     n_good = int((labels == good).sum())
+    # variance of the two shares; the mean of the two has half of their combined standard deviation
     scatter = kept * (1.0 - kept) / n_good + caught * (1.0 - caught) / (len(labels) - n_good)
+    # the small number keeps the best itself in, whatever the rounding
     alike = np.flatnonzero(balanced >= balanced[best] - 0.5 * np.sqrt(scatter[best]) - 1e-12)
     return float(limits[alike[len(alike) // 2]])
 
@@ -576,14 +609,17 @@ def _stated_from(
     probabilities: Floats, labels: np.ndarray, classes: np.ndarray, good: str, good_from: float
 ) -> float:
     """Least probability of a stated class at which at most `WRONG_MAX` of all are given a wrong one."""
+    # good is chosen by its own limit only, so it is left out of the likeliest
     of_others = np.where(classes == good, -1.0, probabilities)
     chosen = of_others.argmax(axis=1)
     if good:
         of_good = int(np.searchsorted(classes, good))
         chosen = np.where(probabilities[:, of_good] >= good_from, of_good, chosen)
     stated = probabilities[np.arange(len(labels)), chosen]
+    # wrong answers, the surest first: those behind the allowed ones must fall below the limit
     doubtful = np.sort(stated[classes[chosen] != labels])[::-1]
     allowed = int(WRONG_MAX * len(labels))
+    # just above the surest that is not allowed
     return float(doubtful[allowed] + 1e-6) if len(doubtful) > allowed else 0.0
 
 

@@ -103,25 +103,33 @@ class SeenClasses(NamedTuple):
         self, values: Floats, names: Sequence[str], distance_max: float, excess_max: float
     ) -> Novelty:
         """Judge one sample's (feature,) values against the limits of both measures, in quadrature."""
+        # both as shares of what held-out samples reached, so that they can be added
         distance = float(self.distances(values[None])[0]) / distance_max
         excess = self.excess(values[None])[0]
         outside = float(excess_norm(excess[None])[0]) / excess_max
         value = math.hypot(distance, outside)
+        # no single feature stands out as far as their combination does: none is named
         if outside <= distance:
             return Novelty(value)
         most = int(excess.argmax())
+        # back from asinh to the feature's own unit, for people
         ends = np.sinh([self.low[most], self.high[most]])
         return Novelty(value, names[most], float(values[most]), float(ends[0]), float(ends[1]))
 
     def distances(self, values: Floats) -> Floats:
         """(sample,) distances from the nearest class, in its standard deviations, of (sample, feature)."""
+        # (sample, class, feature): from every class, in standard deviations
         off = (arcsinh_scale(values)[:, None] - self.centres) / self.spread
+        # offᵀ · precision · off, for each sample and class
         squares = np.einsum("ncf,cnf->nc", off, off.swapaxes(0, 1) @ self.precision)
+        # divided by the number of features: an ordinary sample has a distance of about 1, whatever their
+        # number
         return np.asarray(np.sqrt(squares.min(axis=1) / values.shape[1]))
 
     def excess(self, values: Floats) -> Floats:
         """(sample, feature) how far values lie beyond all that were seen, as shares of the range seen."""
         scaled = arcsinh_scale(values)
+        # of one end only: below the least or above the largest; 0 within
         outside = np.maximum(np.maximum(self.low - scaled, scaled - self.high), 0.0)
         return np.asarray(outside / np.maximum(self.high - self.low, _RANGE_MIN))
 
@@ -148,16 +156,21 @@ def seen_classes(values: Floats, labels: np.ndarray) -> SeenClasses:
     classes, which = np.unique(labels, return_inverse=True)
     scaled = arcsinh_scale(values)
     centres = np.stack([scaled[which == k].mean(axis=0) for k in range(len(classes))])
+    # each sample from the mean of its own class: what scatters is noise and nature, not the class
     off = scaled - centres[which]
     spread = np.maximum(off.std(axis=0), _SPREAD_MIN)
     off /= spread
+    # the correlation of all classes together, for those with too few samples of their own
     every = off.T @ off / len(off)
     precision = []
     for k in range(len(classes)):
         mine = off[which == k]
         own = len(mine) / (len(mine) + POOLED_SAMPLES)
         mixed = own * (mine.T @ mine / len(mine)) + (1.0 - own) * every
+        # the diagonal alone is the part without correlation; what never varied gets a least variance, or a
+        # tiny deviation would be endlessly far
         alone = np.diag(np.maximum(np.diag(mixed), _VARIANCE_MIN))
+        # mixed with it the matrix has no eigenvalue near 0, and its inverse none that is huge
         precision.append(np.linalg.inv((1.0 - SHRINKAGE) * mixed + SHRINKAGE * alone))
     # Rounded as in the file, so that what was judged is what will judge.
     rounded = np.round(np.stack(precision) * _DECIMALS) / _DECIMALS
@@ -271,6 +284,7 @@ class GoodReference:
 
     def deviations(self, values: Floats) -> Floats:
         """(sample, feature) deviations of values, in standard deviations; 0 where a value is missing."""
+        # with defects that raise a feature, less of it is better than good
         z = (values - self.centre) / self.spread
         z = np.maximum(z, 0.0) if self.one_sided else np.abs(z)
         return np.where(np.isfinite(z), z, 0.0)
@@ -284,6 +298,8 @@ class GoodReference:
             return Grade("unknown", features=told, reasons=(Reason("no-such-feature", why),))
         z = self.deviations(values[None])[0]
         told["novelty"] = float(z.max() / self.limit)
+        # the largest deviation, not a sum: a single defect among many sound features must not be averaged
+        # away
         most = int(z.argmax())
         of_good = f"{self.features[most]} is {values[most]:.3g}, {z[most]:.1f} deviations from good ones"
         said = f"{of_good}; {self.limit:.1f} is the limit, at least {100 * self.kept_at_least:.0f} % are kept"
@@ -294,6 +310,8 @@ class GoodReference:
 
     def _name(self, z: Floats) -> str:
         if len(self.defects):
+            # the direction of the deviations, whatever their size: a slight bend and a strong one are both
+            # bends
             cosine = self.directions @ z / max(float(np.linalg.norm(z)), 1e-9)
             if cosine.max() >= COSINE_MIN:
                 return self.defects[int(cosine.argmax())]
@@ -344,6 +362,7 @@ def fit_reference(
     smoothing_mm
         How the features were measured.
     """
+    # features of one's own have no prior; they are judged only where none of ours is in the table
     known = [k for k, name in enumerate(names) if name in GOOD_SPREAD]
     one_sided = bool(known)
     taken = known or list(range(len(names)))
@@ -368,6 +387,7 @@ def fit_reference(
             smoothing_mm,
         )
 
+    # each good sample is judged by a model made without it, as a new product would be
     left_out = np.array(
         [
             made(np.delete(of_good, k, axis=0)).deviations(of_good[k : k + 1]).max()
@@ -377,8 +397,10 @@ def fit_reference(
     model = made(of_good)
     defects, directions, least = _directions(model, others, labels[labels != good])
     # A limit above a named defect that all good ones keep clear of is too wide.
+    # the good sample that is farthest from the rest
     worst_good = float(np.sort(left_out)[-1])
     if worst_good < least < limit:
+        # half way between good and defect on a logarithmic scale; at least one deviation is always allowed
         limit = math.sqrt(max(worst_good, 1.0) * least)
     kept = int((left_out <= limit).sum())
     figures = {
@@ -386,6 +408,8 @@ def fit_reference(
         "good_kept_at_least": lower_bound(kept, len(of_good)),
     }
     if len(others):
+        # these samples moved the limit and named the directions, so this share is no promise; none is made of
+        # it
         caught = model.deviations(others).max(axis=1) > limit
         figures["others_caught_share"] = float(caught.mean())
     fitted = GoodReference(
@@ -399,19 +423,25 @@ def lower_bound(kept: int, count: int, confidence: float = 0.95) -> float:
     """Least share of all products that is kept, if `kept` of `count` were (Clopper and Pearson 1934)."""
     from scipy.special import betaincinv
 
+    # the lower end: the share at which so many kept, or more, would have a chance of 5 %
     return float(betaincinv(kept, count - kept + 1, 1.0 - confidence)) if kept else 0.0
 
 
 def _centre_and_spread(values: Floats, prior: Floats | None) -> tuple[Floats, Floats]:
     count = len(values)
     with np.errstate(all="ignore"):
+        # a feature that no sample has gives NaN, with a warning that nobody needs
         centre = np.nanmean(values, axis=0)
         squares = np.nansum((values - centre) ** 2, axis=0)
+    # a feature that no sample has: its centre is never used where `deviations` finds NaN
     centre = np.nan_to_num(centre)
     if prior is None:
+        # a feature that never varied is still not known better than to a share of its mean; 1e-18 is for a
+        # mean of 0
         variance = squares / max(count - 1, 1) + (_SPREAD_SHARE_MIN * np.abs(centre)) ** 2 + 1e-18
     else:
         variance = (squares + PRIOR_SAMPLES * prior**2) / (count - 1 + PRIOR_SAMPLES)
+    # a further product lies off a mean that is itself uncertain by s/√n
     return centre, np.sqrt(variance * (1.0 + 1.0 / count))
 
 
@@ -420,10 +450,13 @@ def _directions(
 ) -> tuple[tuple[str, ...], Floats, float]:
     """Names of defects, their mean directions, and the least of the samples' largest deviations."""
     if not len(others):
+        # an infinite least deviation leaves the limit where it is
         return (), np.empty((0, len(model.features))), math.inf
     z = model.deviations(others)
     names = sorted(set(labels.tolist()))
+    # directions first, means after: a strong example of a defect counts no more than a slight one
     unit = z / np.maximum(np.linalg.norm(z, axis=1, keepdims=True), 1e-9)
     means = np.stack([unit[labels == name].mean(axis=0) for name in names])
+    # the mean of unit vectors is shorter than 1
     means /= np.maximum(np.linalg.norm(means, axis=1, keepdims=True), 1e-9)
     return tuple(names), means, float(z.max(axis=1).min())

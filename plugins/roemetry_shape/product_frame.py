@@ -92,9 +92,11 @@ def cut_square(
     cuts, central = half_width_mm.size, SAMPLES // 2
     area, off_x, off_y = np.empty(cuts), x_mm[:, central].copy(), middle_mm[:, 1].copy()
     for k in range(cuts):
+        # trapezoids, as in `Sections.area_mm2`: the two edge samples count half
         inner = height_mm[k].sum() - 0.5 * (height_mm[k, 0] + height_mm[k, SAMPLES - 1])
         area[k] = inner * 2.0 * half_width_mm[k] / (SAMPLES - 1)
     # the line through the middles, weighed by area; its slope by least squares over x, along which cuts lie
+    # thick sections say where the axis is; a sliver at an end, whose middle is uncertain, hardly counts
     whole, x0, y0 = area.sum(), 0.0, 0.0
     for k in range(cuts):
         x0 += area[k] / whole * off_x[k]
@@ -118,8 +120,13 @@ def cut_square(
             s = c * x + q * y
             if j == central:
                 along[k] = s
+            # where a stripe leans or is oblique its samples have places of their own; steps stay positive, so
+            # that slopes are finite
             knots[k, j] = max(s, knots[k - 1, j] + _STEP_MIN_MM) if k else s
+            # beside the height the place across is lofted, too: where a section lies off the axis between two
+            # cuts
             surface[0, k, j], surface[1, k, j] = height_mm[of, j], c * y - q * x
+    # from the first central point to the last; nothing is extrapolated
     at = along[0] + (along[-1] - along[0]) / (STATIONS - 1) * np.arange(STATIONS)
     square = lofted(knots, surface, at)
     heights, across = square[0], square[1]
@@ -127,18 +134,24 @@ def cut_square(
     grid, x_out = np.empty((STATIONS, SAMPLES)), np.empty((STATIONS, SAMPLES))
     for i in range(STATIONS):
         for j in range(SAMPLES):
+            # noise puts the foot of a section below the belt; a height below 0 is no height
             heights[i, j] = max(heights[i, j], 0.0)
             if j:
+                # `on_even_places` needs places that do not fall; lofting sample by sample may cross
+                # neighbours
                 across[i, j] = max(across[i, j], across[i, j - 1])
         half[i] = max(0.5 * (across[i, SAMPLES - 1] - across[i, 0]), 1e-6)
         middle[i, 0], middle[i, 1] = at[i], 0.5 * (across[i, 0] + across[i, SAMPLES - 1])
         for j in range(SAMPLES):
+            # even places again: lofted ones are uneven where edges of neighbouring cuts differ
             grid[i, j], x_out[i, j] = middle[i, 1] + half[i] * EVEN[j], at[i]
     pitch, missing = median_of(along[1:] - along[:-1]), np.empty(2)
     for end in range(2):
         outer, inner_one = (0, 1) if end == 0 else (cuts - 1, cuts - 2)
         # where the area, falling as from the cut before it, would be nothing
         fall = (sized[inner_one] - sized[outer]) / max(abs(along[inner_one] - along[outer]), 1e-6)
+        # at most one pitch: a longer end would have met another stripe. Where the area does not fall nothing
+        # is known but that: half a pitch
         missing[end] = min(sized[outer] / fall, pitch) if fall > 0.0 else 0.5 * pitch
     return at, middle, half, on_even_places(across, heights, grid), x_out, pitch, missing
 
@@ -155,23 +168,31 @@ def lofted(knots: Floats, values: Floats, at: Floats) -> Floats:
     slope, secant = np.zeros(cuts), np.empty(cuts - 1)
     for kind in range(kinds):
         for j in range(samples):
+            # knots are the samples' own places along the axis, different for each of them
             for k in range(cuts - 1):
                 secant[k] = (values[kind, k + 1, j] - values[kind, k, j]) / (knots[k + 1, j] - knots[k, j])
+            # one-sided at the ends: there is no cut beyond them
             slope[0], slope[-1] = secant[0], secant[-1]
             for k in range(1, cuts - 1):
                 before, after = knots[k, j] - knots[k - 1, j], knots[k + 1, j] - knots[k, j]
+                # weights of the harmonic mean: the shorter interval counts more
                 one, other = before + 2.0 * after, 2.0 * before + after
+                # where the secants change sign the cut is a crest or a trough: level there, so nothing
+                # overshoots
                 slope[k] = 0.0
                 if secant[k - 1] * secant[k] > 0.0:
                     mean = one * secant[k] + other * secant[k - 1]
                     slope[k] = (one + other) * secant[k - 1] * secant[k] / mean
             k = 0
             for station in range(at.size):
+                # stations rise, so the interval is only ever left upwards
                 while k < cuts - 2 and at[station] >= knots[k + 1, j]:
                     k += 1
                 h = knots[k + 1, j] - knots[k, j]
+                # beyond the outer cuts u stays 0 or 1: the value of the cut
                 u = min(max((at[station] - knots[k, j]) / h, 0.0), 1.0)
                 v = 1.0 - u
+                # Hermite's cubic in u and v = 1 − u
                 out[kind, station, j] = (
                     values[kind, k, j] * (v * v * (1.0 + 2.0 * u))
                     + values[kind, k + 1, j] * (u * u * (1.0 + 2.0 * v))
@@ -192,6 +213,7 @@ def on_even_places(across: Floats, heights: Floats, grid: Floats) -> Floats:
             while before < last - 1 and across[row, before + 1] <= place:
                 before += 1
             wide = across[row, before + 1] - across[row, before]
+            # places that fall together have no slope: the later one counts
             share = min(max((place - across[row, before]) / wide, 0.0), 1.0) if wide > 0.0 else 1.0
             out[row, k] = heights[row, before] + share * (heights[row, before + 1] - heights[row, before])
     return out
@@ -298,6 +320,7 @@ def cuts_in_line(xyz: Floats, slices: Integers) -> tuple[Integers, Floats, Float
         As in `Sections`.
     """
     total, most = slices.size, 0
+    # slices come one after another: each change of number begins a new one
     for k in range(total):
         most += k == 0 or slices[k] != slices[k - 1]
     of, middle, half = np.empty(most, np.int64), np.empty((most, 2)), np.empty(most)
@@ -318,11 +341,13 @@ def cuts_in_line(xyz: Floats, slices: Integers) -> tuple[Integers, Floats, Float
         points, step = 0, 0.0
         for k in range(placed):
             m = order[k]
+            # of points at one place only the first is taken; steps between the others are positive
             if k == 0 or xyz[m, 1] > on[points - 1, 1]:
                 on[points] = xyz[m]
                 if points:
                     step = max(step, on[points, 1] - on[points - 1, 1])
                 points += 1
+        # a slice of few points, narrow, or torn in the middle shows no course across
         low, wide = on[0, 1], on[points - 1, 1] - on[0, 1]
         if points >= _POINTS_MIN and wide >= _WIDTH_MIN_MM and step <= _GAP_MAX * wide:
             before = 0
@@ -338,10 +363,12 @@ def cuts_in_line(xyz: Floats, slices: Integers) -> tuple[Integers, Floats, Float
             middle[count, 1] = low + 0.5 * wide
             count += 1
         begin = stop
+    # a stable order, so that equal places keep the order of the stripes
     along = np.argsort(middle[:count, 0].copy(), kind="mergesort")
     peak = np.empty(count)
     for k in range(count):
         peak[k] = height[along[k]].max()
+    # outer slivers go one by one from either end; a low section between high ones is a waist and stays
     first, last = 0, count
     while first < last and peak[first] < _SLIVER * peak.max():
         first += 1
@@ -382,8 +409,10 @@ def decisive_feature(
     call
         Gives the class of other features.
     """
+    # one feature at a time: together they could make almost any class
     for name in sorted(names):
         std = features.get(f"{name}_std", 0.0)
+        # a feature without uncertainty is taken as exact: nothing to try
         for value in (features[name] - _SURE * std, features[name] + _SURE * std) if std > 0.0 else ():
             other = call({**features, name: value})
             if other != called:
@@ -415,13 +444,17 @@ def outline_features(product: Product, sections: Sections) -> dict[str, float]:
 
     ends_mm = np.maximum(sections.height_mm[:, _ENDS], 0.0)
     start, way = sight_lines(view, outline)
+    # each sight line is followed down (or up) to that height over the belt
     along = (median_of(ends_mm.ravel()) - start[:, 2]) / way[:, 2]
     x, y = (start[:, k] + along * way[:, k] for k in (0, 1))
+    # a sight line that runs level never comes to that height
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         return seen
     # OpenCV reckons in float32: about the middle that is enough.
     about = np.stack([x - x.mean(), y - y.mean()], axis=1).astype(np.float32)
     sides = cv2.minAreaRect(about)[1]
+    # Gauss's formula for the area within a closed polygon; the last product closes it
     area = 0.5 * abs(float(x[:-1] @ y[1:] - y[:-1] @ x[1:] + x[-1] * y[0] - y[-1] * x[0]))
     size = {"length_mm": float(max(sides)), "across_mm": float(min(sides)), "footprint_mm2": area}
+    # an outliner that states a size itself has measured it; it counts
     return {**size, **seen}

@@ -81,6 +81,7 @@ def hollows_of(sections: Sections) -> tuple[Floats, tuple[Region, ...]]:
 def humps_of(sections: Sections) -> tuple[Floats, tuple[Region, ...]]:
     """Give (section, sample) heights above the smooth body, mm, and the humps, the highest first."""
     height: Floats = np.zeros((len(sections.stripe), SAMPLES))
+    # with fewer sections a cubic along would follow the humps themselves
     if len(sections.stripe) < _SECTIONS_MIN:
         return height, ()
     height[:, _INSIDE] = np.maximum(sections.height_mm - dome_of(sections), 0.0)[:, _INSIDE]
@@ -100,14 +101,18 @@ def dome_over(along_mm: Floats, height_mm: Floats) -> Floats:
     of_s, rows = np.empty((4, sections)), np.empty((12, sections * fitted))
     wanted = np.empty(sections * fitted)
     for k in range(sections):
+        # from −1 to 1 along and across, so that the powers are of one size and the ridge means the same for
+        # all
         place = along_mm[k] / max(along_mm[sections - 1], 1e-9) * 2.0 - 1.0
         of_s[0, k], of_s[1, k], of_s[2, k], of_s[3, k] = 1.0, place, place * place, place * place * place
         for j in range(fitted):
+            # heights squared: a half-ellipsoid is then a polynomial
             wanted[k * fitted + j] = height_mm[k, _FITTED[j]] ** 2
             for a in range(4):
                 for b in range(3):
                     rows[3 * a + b, k * fitted + j] = of_s[a, k] * _OF_T[b, _FITTED[j]]
     ridge = np.full(12, _RIDGE)
+    # with Cauchy's weights a dent or a hump becomes an outlier of the dome, instead of pulling it
     fit = robust_fit(rows, wanted, np.ones(wanted.size), ridge, _SPREAD_LEAST_MM2, _ROUNDS)[0]
     dome = np.zeros_like(height_mm)
     for k in range(sections):
@@ -118,6 +123,7 @@ def dome_over(along_mm: Floats, height_mm: Floats) -> Floats:
             for j in range(dome.shape[1]):
                 dome[k, j] += term * _OF_T[b, j]
         for j in range(dome.shape[1]):
+            # beyond the body's edges the polynomial falls below 0
             dome[k, j] = np.sqrt(max(dome[k, j], 0.0))
     return dome
 
@@ -134,9 +140,11 @@ def regions_of(depth: Floats, sections: Sections, least_mm: float) -> tuple[Regi
         return ()
     from scipy.ndimage import label
 
+    # corners count as neighbours: a dent that runs obliquely moves by a sample from stripe to stripe
     numbers, count = label(depth > least_mm, structure=np.ones((3, 3)))
     stands_for = _stands_for_mm(sections.along_mm)
     step = 2.0 * sections.half_width_mm / (SAMPLES - 1)
+    # mm² of each sample: the distance that its section stands for times its share of the width
     cell = (stands_for * step)[:, None] * np.ones(SAMPLES)
     found = []
     for number in range(1, count + 1):
@@ -160,6 +168,7 @@ def _stands_for_mm(along_mm: Floats) -> Floats:
     """Length along the product that each section stands for: half way to its neighbours."""
     if len(along_mm) < 2:
         return np.zeros(len(along_mm))
+    # the outer sections reach outwards as far as to their only neighbour
     step = np.diff(along_mm)
     return np.asarray(0.5 * (np.concatenate([step[:1], step]) + np.concatenate([step, step[-1:]])))
 
@@ -182,6 +191,7 @@ def hollow_depth(across: Floats, height: Floats) -> Floats:
     depth = np.zeros((curves, count))
     corner = np.empty(count, np.int64)
     for c in range(curves):
+        # the upper hull of the points so far, from left to right
         corners = 0
         for i in range(count):
             while corners > 1:
@@ -189,6 +199,7 @@ def hollow_depth(across: Floats, height: Floats) -> Floats:
                 turn = (across[c, b] - across[c, a]) * (height[c, i] - height[c, a]) - (
                     height[c, b] - height[c, a]
                 ) * (across[c, i] - across[c, a])
+                # a turn to the right at the last corner: the hull is convex there and the corner stays
                 if turn < 0.0:
                     break
                 corners -= 1
@@ -196,6 +207,7 @@ def hollow_depth(across: Floats, height: Floats) -> Floats:
             corners += 1
         for k in range(corners - 1):
             a, b = corner[k], corner[k + 1]
+            # between two corners the hull is a straight line; the curve can only lie below it
             slope = (height[c, b] - height[c, a]) / (across[c, b] - across[c, a])
             for i in range(a + 1, b):
                 depth[c, i] = max(height[c, a] + slope * (across[c, i] - across[c, a]) - height[c, i], 0.0)
@@ -270,6 +282,7 @@ def relief_of(
                 depth_mm=region.depth_mm,
                 area_mm2=region.area_mm2,
                 xy_mm=np.array([region.x_mm, region.y_mm]),
+                # two neighbouring samples fall on one drawn cell
                 cells=np.unique(region.cells // np.array([1, _EVERY]), axis=0),
             )
             for kind, found in regions.items()
@@ -283,6 +296,7 @@ def _spread(values: Floats, sections: Sections) -> Floats:
     """Put values of the inner places among all, NaN around them."""
     whole = np.full((len(sections.stripe), SAMPLES), np.nan)
     if values.size:
+        # of n places, two samples apart and in the middle of the section: as much is left free at either side
         margin = (SAMPLES - (2 * values.shape[1] - 1)) // 2
         whole[1:-1, margin : SAMPLES - margin : 2] = values
     return whole[:, ::_EVERY]
@@ -327,20 +341,27 @@ def surface_shape(sections: Sections) -> SurfaceShape:
         return SurfaceShape(*[nothing] * 9)
     heights = np.ascontiguousarray(sections.height_mm)
     fit = local_quadrics(np.ascontiguousarray(x), y, heights, _EDGE, SAMPLES - _EDGE, 2, _REACH)
+    # the places of the fit: without the outer sections, every second sample away from the edges
     inner = slice(1, count - 1), slice(_EDGE, SAMPLES - _EDGE, 2)
+    # first and second derivatives of z over x and y at the place itself
     d, e, a, b, c = (fit[..., k] for k in range(1, 6))
     long = np.sqrt(1.0 + d**2 + e**2)
+    # K = (LN − M²) / (EG − F²), with the second fundamental form divided by the normal's length twice
     gauss = (a * c - b**2) / long**4
     across = np.sqrt(d**2 + e**2)
+    # H of a graph z(x, y); positive where it is hollow from above
     mean = ((1 + e**2) * a - 2 * d * e * b + (1 + d**2) * c) / (2 * long**3)
+    # H² ≥ K for every surface; rounding may break it where both curvatures are alike
     root = np.sqrt(np.maximum(mean**2 - gauss, 0.0))
     high, low = mean + root, mean - root
+    # arctan2 copes with two equal curvatures, where their difference is 0
     index = 2.0 / np.pi * np.arctan2(high + low, high - low)
     return SurfaceShape(
         x_mm=x[inner],
         y_mm=y[inner],
         z_mm=heights[inner],
         slope_deg=np.degrees(np.arctan(across)),
+        # the normal of z(x, y) is (−d, −e, 1): it leans downhill
         normal_x=-d / long,
         normal_y=-e / long,
         curvature_max=high,
@@ -371,23 +392,27 @@ def local_quadrics(x: Floats, y: Floats, z: Floats, first: int, last: int, step:
         f, d, e, a, b, c about each place, x and y from there; of all sections but the outer two.
     """
     places = np.arange(first, last, step)
+    # every second sample: half the work, and neighbours share their noise after the smoothing
     near = places[:, None] + np.arange(-reach, reach + 1, 2)
     count = len(x)
 
     def about(values: Floats) -> Floats:
         """(section, place, point) values of the points about each place."""
+        # the three sections about each place, of which the middle one is its own
         three = [values[k : count - 2 + k][:, near] for k in range(3)]
         return np.concatenate(three, axis=-1)
 
     # Scales make the equations even, whatever the spacing of the sections.
     wide = np.maximum(0.5 * np.abs(x[2:, first] - x[:-2, first]), 1e-9)[:, None]
     fine = np.maximum(np.abs(y[1:-1, first + 1] - y[1:-1, first]) * reach, 1e-9)[:, None]
+    # in units of half the distance of the outer sections, and of the reach: about ±1 at the farthest points
     u = (about(x) - x[1:-1, places, None]) / wide[..., None]
     v = (about(y) - y[1:-1, places, None]) / fine[..., None]
     rows = np.stack([np.ones_like(u), u, v, 0.5 * u**2, u * v, 0.5 * v**2], axis=-1)
     across = np.swapaxes(rows, -1, -2)
     normal = across @ rows + _RIDGE * np.eye(rows.shape[-1])
     fit = np.linalg.solve(normal, across @ about(z)[..., None])[..., 0]
+    # back from the scaled coordinates: each coefficient by the powers of x and y that it stands beside
     one = np.ones_like(wide)
     scales = np.stack([one, wide, fine, wide**2, wide * fine, fine**2], axis=-1)
     return np.asarray(fit / scales)

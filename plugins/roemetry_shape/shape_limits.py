@@ -1,4 +1,14 @@
-"""Classes by limits on features."""
+"""Classes by limits on features, one after another.
+
+Model. Each limit says which class a product is of whose feature lies above `at_most` or below `at_least`.
+Going down the list, the first limit that is broken names the class; a product that breaks none is good. A
+class that two standard uncertainties of one feature would change is `unknown`; features whose uncertainty is
+not stated are taken as exact.
+
+Assumed: each defect shows in one feature alone, and its limit does not depend on the others. It fails where
+features must be weighed together, as a bend that is harmless in a long product: then `fuzzy-rules` or
+`learned`. A feature that cannot be measured (NaN) breaks no limit.
+"""
 
 from __future__ import annotations
 
@@ -67,8 +77,10 @@ class ShapeLimits(Classifier[ShapeLimitsOptions]):
         if not features:
             return Grade(UNKNOWN, reasons=(Reason("too-few-sections", _FEW),))
         if not self.options.limits:
+            # a product that was compared with nothing is not good
             return Grade(UNKNOWN, features=features, reasons=(Reason("no-limits", "no limits are given"),))
         used = set()
+        # limits after the first broken one cannot change the class, so what they name may be missing
         for limit in self.options.limits:
             if limit.feature not in features:
                 known = ", ".join(sorted(features))
@@ -78,6 +90,7 @@ class ShapeLimits(Classifier[ShapeLimitsOptions]):
             if _broken(limit, features[limit.feature]):
                 break
         label, reason = self._called(features)
+        # a value within its uncertainty of a limit could as well be of the other class
         doubt = decisive_feature(features, used, label, lambda other: self._called(other)[0])
         if doubt is not None:
             return Grade(UNKNOWN, features=features, reasons=(doubt,))
@@ -96,6 +109,7 @@ class ShapeLimits(Classifier[ShapeLimitsOptions]):
 
 
 def _broken(limit: Limit, value: float) -> str:
+    # NaN breaks no limit, as every comparison with it is false
     if math.isnan(value):
         return ""
     if limit.at_most is not None and value > limit.at_most:

@@ -88,8 +88,10 @@ def enough_mm(bodies: Bodies) -> float:
     """Give the line spacing up to which sampling does not count, mm, rounded down to two digits."""
     # errors rise and fall with how many whole spacings a length has: it is the first that counts
     found = 0.01 * float(bodies.lengths_mm.min())
+    # in steps of a percent from far too fine; stops at the first that errs too much
     while found < 0.5 * bodies.length_mm and bodies.sampling_pct(1.01 * found) <= _ENOUGH_PCT:
         found *= 1.01
+    # rounded down, so that what is said is still enough
     digits = 1 - math.floor(math.log10(found))
     return math.floor(found * 10**digits) / 10**digits
 
@@ -114,6 +116,7 @@ def _spacings(bodies: Bodies, exposure_s: float) -> PlanTable:
 
 def _answer(space: Space, bodies: Bodies, now_mm: float, enough: float, exposure_s: float) -> PlanAnswer:
     """Say whether the rig measures the products, how well, and which spacing and speed are enough."""
+    # at half the highest product's height
     middle = plane_points(space.rig.laser, space.y_mm, np.array([0.5 * bodies.height_mm]))[0]
     scale = scale_at(space.rig.camera, space.rig.laser, middle[[space.rig.laser.count // 2]])
     per_px = float(1.0 / np.abs(scale.height_px_per_mm[0]))

@@ -84,6 +84,7 @@ class MovingBelt(RigSimulator[MovingBeltOptions]):
 
     def belt(self, drawn: Drawn | None, seed: int) -> tuple[NDArray[np.int64], Floats]:
         """Give (line,) counts, and (line, 3) by how much the product has moved since it lay at X = 0, mm."""
+        # an empty belt has an extent, too, so that lines are made
         extent = (-1.0, 1.0) if drawn is None else drawn.solid.footprint_extent_mm()[:2]
         return self.options.scan.run(extent, self.rig.laser.x_mm(0.0, 0.0), seed)
 
@@ -98,6 +99,7 @@ class MovingBelt(RigSimulator[MovingBeltOptions]):
         normals, axis = laser.normals @ turn, turn @ laser.line_axis
         runs = self.options.scan.runs(laser.projector_mm, laser.line_axis, laser.x_mm(0.0, 0.0))
         for shift in self.belt(drawn, seed)[1]:
+            # the rig moves against the belt, in the product's frame
             to = place - shift
             packed = camera.packed()
             packed[:3] = turn @ camera.centre_mm + to
@@ -149,14 +151,18 @@ def _cross(
     near, far, d, o = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
     view, point, normal, beam, scratch = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
     reach = body.reach
+    # above the body, or below the belt for a head that looks up
     start = max(reach[5], 0.0) + 1.0 if side > 0.0 else -1.0
     for i in range(count):
         n, offset = normals[i], offsets[i]
+        # the next row's crossing is near this one's
         guess = 0.5 * columns
         for row in range(rows):
             x = guess
             good = True
+            # without distortion a row's sight and the plane meet in one straight line: one step is exact
             for _ in range(3 if distorts else 1):
+                # two places of the row on the plane: a line in space
                 _lift(pinhole, rotation, n, offset, x - _BESIDE_PX, row, view, near)
                 _lift(pinhole, rotation, n, offset, x + _BESIDE_PX, row, view, far)
                 length = 0.0
@@ -164,10 +170,12 @@ def _cross(
                     d[k] = far[k] - near[k]
                     length += d[k] * d[k]
                 length = math.sqrt(length)
+                # followed from the rig towards the belt
                 if side * d[2] > 0.0:
                     length = -length
                 for k in range(3):
                     d[k] /= length
+                # the line runs level: it meets nothing that this head sees
                 if side * d[2] > -1e-6:
                     good = False
                     break
@@ -178,16 +186,19 @@ def _cross(
                     good = False
                     break
                 x = _column(pinhole, rotation, point, row, x)
+            # outside the image
             if not good or not (-0.5 <= x < columns - 0.5):
                 continue
             guess = x
             normal_at(body, on, point, normal)
+            # met by the plane, but hidden from the camera
             if sees_in(body, reach, point, normal, pinhole[:3], beam, scratch) <= 0.0:
                 continue
             light = sees_in(body, reach, point, normal, projector, beam, scratch)
             run = 0.0
             for k in range(3):
                 run -= beam[k] * axis[k]
+            # within the part of the fan that the projector lights
             if light > 0.0 and runs[0] <= run <= runs[1]:
                 found[i, row], bright[i, row] = x, light
     return found, bright
@@ -221,6 +232,7 @@ def _column(pinhole: Floats, rotation: Floats, point: Floats, row: float, start:
     for _ in range(20):
         camera_ray(pinhole, rotation, x, row, view)
         camera_ray(pinhole, rotation, x + 1.0, row, other)
+        # secant over one pixel
         here, ahead = _ratio(rotation, view), _ratio(rotation, other)
         step = (wanted - here) / (ahead - here)
         x += step
@@ -242,6 +254,7 @@ def _ratio(rotation: Floats, way: Floats) -> float:
 @kernel
 def _draw(x_px: Floats, grey: Floats, sigma: float, image: Floats) -> None:
     """Add each line's light to an image."""
+    # beyond five deviations nothing is left
     reach = math.ceil(5.0 * sigma)
     for i in range(x_px.shape[0]):
         for row in range(x_px.shape[1]):

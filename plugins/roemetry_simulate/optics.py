@@ -104,6 +104,7 @@ class Camera:
         """Unit directions in the belt frame, S + (3,), of the rays through image points (px) of shape S."""
         x, y = np.broadcast_arrays(np.asarray(x_px, dtype=np.float64), np.asarray(y_px, dtype=np.float64))
         cx, cy = self.principal_px
+        # pinhole coordinates: (x − cx) / f, (y − cy) / f, at depth 1
         x, y = (x - cx) / self.focal_length_px, (y - cy) / self.focal_length_px
         if self.distorts:
             places = undistort(np.stack([x.ravel(), y.ravel()], axis=1), np.array(self.distortion))
@@ -116,6 +117,7 @@ class Camera:
     def project(self, points_mm: ArrayLike) -> Floats:
         """Image points (px), shape (..., 2), of belt points (mm), shape (..., 3); NaN behind the camera."""
         points = (np.asarray(points_mm, dtype=np.float64) - self.centre_mm) @ self.rotation
+        # behind the camera a projection would come out mirrored
         depth = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
         plane = points[..., :2] / depth
         if self.distorts:
@@ -133,6 +135,7 @@ def looking_down(
     The tilts turn it about its own x axis, then about its own y axis; zero looks straight down, with image
     x along belt X and image y against belt Y.
     """
+    # image y runs against belt Y, so the camera looks down without mirroring
     down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
     ax, ay = np.deg2rad([tilt_x_deg, tilt_y_deg])
     about_x = np.array([[1, 0, 0], [0, np.cos(ax), -np.sin(ax)], [0, np.sin(ax), np.cos(ax)]])
@@ -140,6 +143,7 @@ def looking_down(
     rotation = down @ about_x @ about_y
     pose = np.eye(4)
     pose[:3, :3] = rotation
+    # back along its own axis from the origin
     pose[:3, 3] = -distance_mm * rotation[:, 2]
     return Camera(width_px, height_px, pixel_size_mm, focal_length_mm, pose)
 
@@ -195,6 +199,7 @@ class LaserFan:
 
     def packed(self) -> Floats:
         """Return what the kernels take: waist (mm), fall (rad), its distance (mm), divergence (rad)."""
+        # tangents of small angles: mrad to rad
         fall, grows = np.deg2rad(self.line_sigma_deg), 1e-3 * self.divergence_mrad
         return np.array([self.sigma_mm, fall, self.waist_distance_mm, grows])
 
@@ -205,13 +210,16 @@ class LaserFan:
 
     def rays(self) -> Floats:
         """Unit directions (N, M, 3) of the rays in whose middle dots are, away from the projector."""
+        # the line in which two planes meet is square to both normals
         ways = np.cross(self.normals[:, None], self.rows[None, :, :3])
+        # away from the projector, that is downwards
         ways *= -np.sign(ways[..., 2:])
         unit: Floats = ways / np.linalg.norm(ways, axis=-1, keepdims=True)
         return unit
 
     def cones(self) -> Floats:
         """Give (N, 7) the halves of circles as `View.cones` has them."""
+        # n is as long as 1 / sin of the half angle
         size = np.linalg.norm(self.normals, axis=1)
         side = np.sign(self.halves[:, 1:] @ self.halves[-1, 1:])
         angle = side * np.arcsin(1.0 / size)
@@ -221,6 +229,7 @@ class LaserFan:
     def distance_mm(self, points_mm: ArrayLike) -> Floats:
         """Signed distances n·X − d (mm), shape (..., N), of belt points, shape (..., 3), to all planes."""
         points = np.asarray(points_mm, dtype=np.float64)
+        # distance from the cone, to first order: what |X − apex| takes off n·X
         distances: Floats = points @ self.normals.T - self.offsets_mm
         if len(self.halves):
             away = np.linalg.norm(points - self.projector_mm, axis=-1)
@@ -254,8 +263,10 @@ def fan_through(
     yaw, pitch = np.deg2rad([yaw_deg, pitch_deg])
     axis = np.array([-np.sin(yaw) * np.cos(pitch), np.cos(yaw) * np.cos(pitch), np.sin(pitch)])
     towards = np.stack([lines_x, np.zeros_like(lines_x), np.zeros_like(lines_x)], axis=-1) - projector
+    # a plane holds the projector, the place on the belt and the lines' direction
     normals = np.cross(towards, axis)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    # towards +X, so that distances rise from left to right
     normals *= np.sign(normals[:, :1])
     peak = np.broadcast_to(np.asarray(peak_grey, dtype=np.float64), lines_x.shape)
     return LaserFan(projector, normals, normals @ projector, axis, sigma_mm, peak, line_sigma_deg)
@@ -268,6 +279,7 @@ def rows_through(fan: LaserFan, lines_y_mm: ArrayLike) -> Floats:
     not turned about Z.
     """
     axis = fan.line_axis
+    # level direction of the lines on the belt, and the one square to it
     along = np.array([axis[0], axis[1], 0.0]) / np.hypot(axis[0], axis[1])
     across = np.array([along[1], -along[0], 0.0])
     normals = np.cross(across, np.outer(np.atleast_1d(lines_y_mm), along) - fan.projector_mm)
@@ -282,6 +294,7 @@ def with_across(fan: LaserFan, lines_y_mm: ArrayLike) -> LaserFan:
     planes = -rows_through(fan, np.sort(np.atleast_1d(lines_y_mm))[::-1])
     axis = np.array([fan.line_axis[1], -fan.line_axis[0], 0.0])
     axis /= np.linalg.norm(axis)
+    # one brightness for all: the lines across are the same light
     grey = np.full(len(planes), float(np.mean(fan.peak_grey)))
     across = replace(fan, normals=planes[:, :3], offsets_mm=planes[:, 3], line_axis=axis, peak_grey=grey)
     return replace(fan, across=across)
@@ -291,7 +304,9 @@ def turned(camera: Camera) -> Camera:
     """Return the camera whose image is this one's turned by 90° counter-clockwise."""
     (cx, cy), (k1, k2, p1, p2, k3) = camera.principal_px.tolist(), camera.distortion
     pose = camera.T_belt_camera.copy()
+    # turned by 90°: new x is old y, new y is old −x
     pose[:3, :3] = np.column_stack([pose[:3, 1], -pose[:3, 0], pose[:3, 2]])
+    # tangential coefficients turn with the axes; radial ones do not
     middle, lens = (cy, camera.width_px - 1.0 - cx), (k1, k2, -p2, p1, k3)
     sensor = camera.height_px, camera.width_px, camera.pixel_size_mm
     return Camera(*sensor, camera.focal_length_mm, pose, middle, lens)
@@ -306,6 +321,7 @@ def view_mm(camera: Camera, height_mm: float = 0.0) -> tuple[float, float, float
 
 def border_px(camera: Camera) -> tuple[Floats, Floats]:
     """Return x and y of points along the image's border, px, shape (4 · steps,)."""
+    # the border lies half a pixel outside the outermost pixels' middles
     along = np.linspace(0.0, 1.0, _EDGE_STEPS)
     x, y = along * camera.width_px - 0.5, along * camera.height_px - 0.5
     left, right = np.full_like(y, x[0]), np.full_like(y, x[-1])
@@ -316,6 +332,7 @@ def border_px(camera: Camera) -> tuple[Floats, Floats]:
 def border_points_mm(camera: Camera, height_mm: float) -> Floats:
     """Where the rays of the image's border meet a level, shape (4 · steps, 3)."""
     rays = camera.ray(*border_px(camera))
+    # along each ray to the level
     reach = (height_mm - camera.centre_mm[2]) / rays[:, 2]
     points: Floats = camera.centre_mm + reach[:, None] * rays
     return points
@@ -332,6 +349,7 @@ class Focus:
 def blur_sigma_px(camera: Camera, focus: Focus, depth_mm: Floats) -> Floats:
     """Return the blur (deviation, px) at depths along the axis: a quarter of the disc's diameter."""
     f = camera.focal_length_mm
+    # disc of the thin lens at the sensor, for the pinhole model's focal length
     circle_mm = f / focus.f_number * f / (focus.distance_mm - f) * np.abs(depth_mm / focus.distance_mm - 1.0)
     sigma: Floats = 0.25 * circle_mm * (focus.distance_mm / depth_mm) / camera.pixel_size_mm
     return sigma
@@ -344,12 +362,14 @@ def defocused(light: Floats, camera: Camera, focus: Focus, depth_mm: Floats) -> 
     """
     sigma = blur_sigma_px(camera, focus, depth_mm)
     low, high = float(sigma.min()), float(sigma.max())
+    # sharp everywhere
     if high <= 0.0:
         return light
     amounts = np.linspace(low, high, _LEVELS if high - low > 1e-3 else 1)
     stack = np.stack([blurred(light, float(amount)) for amount in amounts])
     if len(amounts) == 1:
         return np.asarray(stack[0], np.float64)
+    # which of the amounts, and how far towards the next
     at = (sigma - low) / (high - low) * (_LEVELS - 1)
     level = np.minimum(at.astype(np.int64), _LEVELS - 2)
     part = at - level
@@ -362,6 +382,7 @@ def defocused(light: Floats, camera: Camera, focus: Focus, depth_mm: Floats) -> 
 def depths_mm(camera: Camera, solid: Solid) -> Floats:
     """Return how far along the optical axis each pixel's middle sees; the belt's where it sees nothing."""
     found: Floats = _depths(solid.body(), camera.packed(), camera.rotation, camera.height_px, camera.width_px)
+    # beside everything: as far as the farthest thing, so that edges have a depth
     return np.where(np.isfinite(found), found, np.nanmax(found))
 
 
@@ -381,6 +402,7 @@ def camera_ray(pinhole: Floats, rotation: Floats, x_px: float, y_px: float, d: F
     cx = (x_px - pinhole[3]) / pinhole[5]
     cy = (y_px - pinhole[4]) / pinhole[5]
     if pinhole[6] != 0.0:
+        # distortion is undone as precisely as float64 allows: truth must be better than what is tested
         cx, cy, _, _, _, _ = undistorted_place(cx, cy, cx, cy, lens_from(pinhole, 7), 1e-15)
     length = math.sqrt(cx * cx + cy * cy + 1.0)
     for k in range(3):
@@ -398,6 +420,7 @@ def _depths(body: AnyBody, pinhole: Floats, rotation: Floats, rows: int, columns
             if first_hit_in(body, reach, pinhole[:3], view, 1e-3, point) < 0:
                 continue
             depth[row, column] = 0.0
+            # the depth along the optical axis, not along the ray
             for k in range(3):
                 depth[row, column] += rotation[k, 2] * (point[k] - pinhole[k])
     return depth

@@ -53,21 +53,26 @@ def scale_at(camera: Camera, fan: LaserFan, points_mm: Floats) -> Scale:
     straight down from height H with focal length f (px) and a projector at the same height and distance B
     beside it, this is f B / (H − z)².
     """
+    # a step in proportion to the depth moves every place by about as much in the image
     depth = (points_mm - camera.centre_mm) @ camera.rotation[:, 2]
     step = _RELATIVE_STEP * depth[..., None]
     gradient = []
     for axis in np.eye(3):
         change = camera.project(points_mm + step * axis) - camera.project(points_mm - step * axis)
         gradient.append(change / (2.0 * step))
+    # derivatives of image x and y by X, Y, Z
     (ux, vx), (uy, vy), (uz, vz) = ((g[..., 0], g[..., 1]) for g in gradient)
     n = plane_normals(fan, points_mm)
+    # along the plane a step in Y or Z brings one in X with it: n·dX = 0
     ny, nz = n[..., 1] / n[..., 0], n[..., 2] / n[..., 0]
     along_y, row_y = uy - ux * ny, vy - vx * ny
     along_z, row_z = uz - ux * nz, vz - vx * nz
+    # determinant of the level derivatives: mm² for a pixel²
     area = ux * vy - uy * vx
     return Scale(
         np.hypot(vy, vx) / np.abs(area),
         np.hypot(uy, ux) / np.abs(area),
+        # the row is kept: what Z moves the point down the image, Y moves it back
         along_z - along_y * row_z / row_y,
         np.abs((n[..., 0] * vy - n[..., 1] * vx) / area),
     )
@@ -75,6 +80,7 @@ def scale_at(camera: Camera, fan: LaserFan, points_mm: Floats) -> Scale:
 
 def plane_normals(fan: LaserFan, points_mm: Floats) -> Floats:
     """Return unit normals, towards +X, of the fan's planes through points; shape of `points_mm`."""
+    # the plane that holds the point, the projector and the lines' direction
     normals = np.cross(points_mm - fan.projector_mm, fan.line_axis)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     towards: Floats = normals * np.where(normals[..., :1] < 0.0, -1.0, 1.0)
@@ -110,6 +116,7 @@ def highest_in_view_mm(camera: Camera, fan: LaserFan, y_mm: float) -> Floats:
     ceiling = 0.95 * min(float(camera.centre_mm[2]), float(fan.projector_mm[2]))
     heights = np.linspace(0.0, ceiling, _RANGE_STEPS)
     seen = in_view(camera, plane_points(fan, y_mm, heights))
+    # the first height at which it is out of view; one more row of False, so that one is always found
     leaves = np.argmin(np.vstack([seen, np.zeros((1, fan.count), dtype=bool)]), axis=0)
     return np.where(leaves > 0, heights[np.maximum(leaves, 1) - 1], np.nan)
 
@@ -128,6 +135,7 @@ def meeting_height_mm(
     normals = plane_normals(fan, own)
     ray = other - camera.centre_mm
     with np.errstate(divide="ignore", invalid="ignore"):
+        # along the ray to where it meets the plane, as a share of the way to the belt
         reach = np.sum(normals * (fan.projector_mm - camera.centre_mm), -1) / np.sum(normals * ray, -1)
     height = camera.centre_mm[2] + reach * ray[..., 2]
     return np.where((height > 0.0) & (height < camera.centre_mm[2]), height, np.nan)
@@ -144,6 +152,7 @@ def spacing_heights_mm(camera: Camera, fan: LaserFan, y_mm: float) -> Floats:
     if fan.count > 1:
         up = meeting_height_mm(camera, fan, x[:-1], x[1:], y_mm)
         down = meeting_height_mm(camera, fan, x[1:], x[:-1], y_mm)
+        # each stripe's neighbour on one side and on the other; the lower height counts
         found[:-1] = up
         found[1:] = np.fmin(found[1:], down)
     return found
@@ -162,6 +171,8 @@ def steepest_slopes_deg(camera: Camera, fan: LaserFan, points_mm: Floats) -> Flo
     for place in (camera.centre_mm, fan.projector_mm):
         to = place - points_mm
         towards = np.stack([to[..., 0], -to[..., 0], to[..., 1], -to[..., 1]], axis=-1)
+        # direction of a wall's top edge over the place: arctan of height over distance; 90° where it is
+        # behind
         limits.append(np.rad2deg(np.arctan2(to[..., 2:], np.maximum(towards, 0.0))))
     return np.minimum(limits[0], limits[1])
 
@@ -227,9 +238,12 @@ def stripes_at(rig: Rig, points_mm: Floats, albedo: float, peak_grey: Floats) ->
     beam = fan.projector_mm - points_mm
     away = np.linalg.norm(beam, axis=-1)
     beam = beam / away[:, None]
+    # Gaussian beam: the deviation at the distance of the point
     sigma = np.hypot(fan.sigma_mm, 1e-3 * fan.divergence_mrad * (away - fan.waist_distance_mm))
     angle = np.rad2deg(np.arcsin(np.clip(-beam @ fan.line_axis, -1.0, 1.0))) / fan.line_sigma_deg
+    # brightness falls with width, along the line, and with the angle at which light comes in
     grey = peak_grey * fan.sigma_mm / sigma * np.exp(-0.5 * angle**2) * albedo * beam[:, 2]
+    # across the plane in mm, over mm across the plane for a pixel
     width = sigma / scale_at(rig.camera, fan, points_mm).across_mm_per_px
     defocus = defocus_px(rig, points_mm)
     return [
@@ -259,12 +273,15 @@ def peak_std(stripe: Stripe, sensor: Sensor, phase_px: float = 0.2) -> PeakStd:
     NaN for a stripe whose pixels do not tell four unknowns, that is wider than 100 px, or dead.
     """
     width = stripe.width_px(sensor)
+    # no four unknowns from so little, or matrices too large
     if not (width < _WIDEST_PX and stripe.peak_grey > 0.0):
         return PeakStd(math.nan, math.nan, math.nan, math.nan, False)
     reach = max(math.ceil(_REACH_SIGMAS * width), 6)
     at = np.arange(-reach, reach + 1, dtype=np.float64) - np.float64(phase_px)
+    # lens and sensor blur one after the other, each a matrix over the row
     blur = _filter(at.size, stripe.defocus_sigma_px) @ _filter(at.size, sensor.psf_sigma_px)
     sharp, by_centre, by_width = _profile(at, max(stripe.line_sigma_px, 1e-3))
+    # derivatives by centre, height, width and background
     jacobian = np.column_stack(
         [
             stripe.peak_grey * blur @ by_centre,
@@ -275,23 +292,28 @@ def peak_std(stripe: Stripe, sensor: Sensor, phase_px: float = 0.2) -> PeakStd:
     )
     light = stripe.peak_grey * blur @ sharp
     noise = (
+        # shot noise has the variance gain · light; rounding that of a uniform distribution
         sensor.grey_per_electron * (light + stripe.background_grey) + sensor.read_noise_grey**2 + 1.0 / 12.0
     )
     speckle = _speckle(stripe.peak_grey * sharp, blur, stripe, sensor)
 
+    # white, or a well that is full before it
     white = min(
         2.0**sensor.bit_depth - 1.0, sensor.full_well_e * sensor.grey_per_electron + sensor.black_level_grey
     )
     grey = light + stripe.background_grey + sensor.black_level_grey
+    # within half a grey level of white a pixel tells nothing
     lost = grey > white - 0.5
     covariance = np.diag(np.where(lost, _NO_INFORMATION, noise))
     kept = np.where(np.logical_or.outer(lost, lost), 0.0, 1.0)
     bound = _bound(jacobian, covariance + speckle * kept)
 
+    # whole pixels, as a program would count them
     window = np.abs(np.arange(-reach, reach + 1)) <= math.ceil(WINDOW_SIGMAS * width)
     clipped = np.where(
         window, np.minimum(light, white - stripe.background_grey - sensor.black_level_grey), 0.0
     )
+    # derivative of the centre of gravity by each pixel
     weight = np.where(window & ~lost, at - (at @ clipped) / clipped.sum(), 0.0) / clipped.sum()
     variance = weight @ (np.diag(noise) + speckle) @ weight
     return PeakStd(
@@ -310,6 +332,7 @@ def speckle_limit_px(rig: Rig, wavelength_nm: float, contrast: float) -> float:
         return math.nan
     focal_mm = rig.camera.focal_length_mm
     magnification = focal_mm / (rig.focus.distance_mm - focal_mm)
+    # half the opening angle in the image: aperture over twice the image distance
     sine = 1.0 / (2.0 * rig.focus.f_number * (1.0 + magnification))
     return contrast * 1e-6 * wavelength_nm / (2.0 * math.pi * sine) / rig.camera.pixel_size_mm
 
@@ -318,6 +341,7 @@ def _profile(at: Floats, sigma: float) -> tuple[Floats, Floats, Floats]:
     """Pixel-integrated Gaussian of height 1, and its derivatives by centre and by sigma."""
     from scipy.special import erf
 
+    # a pixel's own integral, not its middle: stripes may be narrower than a pixel
     high, low = (at + 0.5) / sigma, (at - 0.5) / sigma
     g_high, g_low = np.exp(-0.5 * high**2), np.exp(-0.5 * low**2)
     profile: Floats = sigma * math.sqrt(math.pi / 2.0) * (erf(high / math.sqrt(2)) - erf(low / math.sqrt(2)))
@@ -330,6 +354,7 @@ def _filter(count: int, sigma: float) -> Floats:
         return np.eye(count)
     from scipy.ndimage import gaussian_filter1d
 
+    # the filter of each unit vector, column by column
     matrix: Floats = gaussian_filter1d(np.eye(count), sigma, axis=0, mode="constant")
     return matrix
 
@@ -339,8 +364,10 @@ def _speckle(light: Floats, blur: Floats, stripe: Stripe, sensor: Sensor) -> Flo
     if sensor.speckle_contrast <= 0.0:
         return np.zeros((light.size, light.size))
     grain = _grain(light.size, sensor.speckle_sigma_px)
+    # rows that the blur mixes, either way, four deviations far
     tall = 2 * math.ceil(4.0 * (stripe.defocus_sigma_px + sensor.psf_sigma_px) + 2.0) + 1
     rows = (_filter(tall, stripe.defocus_sigma_px) @ _filter(tall, sensor.psf_sigma_px))[tall // 2]
+    # of the mean over those rows, so much of the grain's variance is left
     mixed = float(rows @ _grain(tall, sensor.speckle_sigma_px) @ rows)
     spread = blur * light
     covariance: Floats = sensor.speckle_contrast**2 * mixed * spread @ grain @ spread.T
@@ -353,6 +380,7 @@ def _grain(count: int, sigma: float) -> Floats:
         return np.eye(count)
     pad = math.ceil(8.0 * sigma) + 1
     filtered = _filter(2 * pad + 1, sigma)[pad]
+    # correlation of filtered white noise: the filter with itself
     correlation = np.convolve(filtered, filtered)
     correlation /= correlation.max()
     apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
@@ -362,7 +390,9 @@ def _grain(count: int, sigma: float) -> Floats:
 
 
 def _bound(jacobian: Floats, covariance: Floats) -> float:
+    # the information matrix (Fisher); its inverse is the bound
     information = jacobian.T @ np.linalg.solve(covariance, jacobian)
+    # pixels do not tell the four apart
     if not np.isfinite(information).all() or np.linalg.cond(information) > 1e15:
         return math.nan
     return float(np.sqrt(np.linalg.inv(information)[0, 0]))

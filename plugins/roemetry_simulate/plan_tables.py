@@ -84,6 +84,7 @@ class Space:
     def top_mm(self) -> float:
         """Height up to which the plan is made: the highest product's, or 2½ unambiguous heights; in view."""
         wanted = _SPACINGS * self.spacing_height_mm if math.isnan(self.product_mm) else self.product_mm
+        # nobody needs a plan beyond the highest product, nor beyond what is seen
         return float(np.fmin(np.nanmax(self.in_view_mm), wanted))
 
     @cached_property
@@ -110,6 +111,7 @@ class Space:
         scale = scale_at(rig.camera, rig.laser, points)
         found = np.full((3, *seen.shape), np.nan)
         found[0] = np.where(seen, 1.0 / np.abs(scale.height_px_per_mm), np.nan)
+        # dead planes do not lower the mean
         lit = rig.laser.peak_grey[rig.laser.peak_grey > 0.0]
         peak = np.full(int(seen.sum()), float(lit.mean()))
         stds = [peak_std(s, rig.sensor) for s in stripes_at(rig, points[seen], self.albedo, peak)]
@@ -124,6 +126,7 @@ class Space:
         views = [view_mm(rig.camera, z) for z in (0.0, self.top_mm)]
         x = np.linspace(min(v[0] for v in views), max(v[1] for v in views), _COLUMNS)
         z = np.linspace(0.0, self.top_mm, _ROWS)
+        # the worst of three places along Y; NaN only where none sees it
         per_px, bound, gravity = np.fmax.reduce([self._over_x_and_z(x, z, y) for y in self.ys_mm])
         ys = ", ".join(f"{y:.1f}" for y in self.ys_mm)
         worst = f"The worst of Y = {ys} mm, where the place is in view."
@@ -183,10 +186,13 @@ class Bodies:
         """RMS error of spacing × sum of slice areas, % of the volume, over products and places."""
         found = []
         share = (np.arange(_PHASES) + 0.5) / _PHASES
+        # places under the stripes, evenly over one spacing: where a product lies is chance
         for length, areas in zip(self.lengths_mm, self.areas_mm2, strict=True):
             along = (np.arange(areas.size) + 0.5) / areas.size * length
+            # stripes before, on and behind the product, for every place
             at = spacing_mm * (np.arange(math.ceil(length / spacing_mm) + 1)[:, None] - 1 + share)
             sums = np.interp(at, along, areas, left=0.0, right=0.0).sum(axis=0) * spacing_mm
+            # relative to the exact volume
             found.append(sums / (areas.mean() * length) - 1.0)
         return 100.0 * float(np.sqrt(np.mean(np.square(found))))
 
@@ -287,12 +293,14 @@ def products(space: Space) -> PlanTable:
     count = space.rig.laser.count
     number = lengths / spacing
     body = ellipsoid(1.0)
+    # longer products than the fan have ends without stripes: their error is no sampling error
     errors = np.array([body.sampling_pct(1.0 / n) if n < count + 0.5 else np.nan for n in number])
     return PlanTable(
         "products",
         "Products across the stripes",
         (
             PlanColumn("length", "length across the stripes", "mm", lengths, 1),
+            # a length of whole spacings meets that many stripes, whatever rounding says
             PlanColumn("at-least", "stripes, at least", "1", np.minimum(np.floor(number + 1e-9), count), 0),
             PlanColumn("at-most", "stripes, at most", "1", np.minimum(np.ceil(number - 1e-9), count), 0),
             PlanColumn("ellipsoid", "volume error, ellipsoid", "% RMS", errors, 2),
@@ -309,6 +317,7 @@ def numbers(space: Space, bodies: Bodies | None) -> tuple[PlanTable, PlanCurves,
     length = mean_spacing_mm(space) * rig.laser.count
     spacing = length / NUMBERS
     middle = np.full(NUMBERS.size, float(rig.laser.x_mm(space.y_mm, 0.0).mean()))
+    # in the middle of the fan, where it is typical
     height = _neighbour_height_mm(space, middle, spacing)
     over = PlanColumn("number", "stripes over the length", "1", NUMBERS.astype(np.float64), 0)
     gap = PlanColumn("spacing", "spacing", "mm", spacing, 2)
@@ -350,6 +359,7 @@ def over_x(space: Space) -> PlanCurves:
 def _neighbour_height_mm(space: Space, x_mm: Floats, spacing_mm: Floats | float) -> Floats:
     """Height at which a stripe at X appears at its nearer neighbour's place on the belt, on either side."""
     camera, fan = space.rig.camera, space.rig.laser
+    # the neighbour on the side to which heights displace; the other way gives NaN
     ways = [meeting_height_mm(camera, fan, x_mm, x_mm + way * spacing_mm, space.y_mm) for way in (1.0, -1.0)]
     return np.asarray(np.fmin(*ways))
 

@@ -89,6 +89,7 @@ class RigPlanner(Planner[RayCasterOptions]):
             # what to change of a rig is worked out for lines alone
             answer = None if pattern else answer_of(scene, space, bodies)
         tables, curves = plan_tables.tables_and_curves(space, bodies)
+        # the product's height is known now: maps and tables reach up to it
         if simulate:
             tables.append(_check_table(space))
         figures, reasons = _figures(scene, space), (*pattern, *_reasons(scene, space))
@@ -105,9 +106,11 @@ def as_lines(scene: RayCasterOptions) -> tuple[RayCasterOptions, tuple[Reason, .
     if laser.circles is not None:
         rig = rig_of(scene)
         row = 0.5 * (rig.camera.height_px - 1)
+        # where the middle row sees the belt
         middle = rig.camera.ray(0.5 * (rig.camera.width_px - 1), row)
         y_mm = rig.camera.centre_mm[1] - rig.camera.centre_mm[2] / middle[2] * middle[1]
         lines_x = rig.laser.x_mm(y_mm, 0.0)
+        # halves that the row does not reach have no place on it
         reached = lines_x[np.isfinite(lines_x)].tolist()
         lines: dict[str, Any] = {"circles": None, "belt_x_mm": reached, "yaw_deg": 0.0}
         text = "circles: planned where the middle row crosses them; nothing is said of their tops and bottoms"
@@ -145,6 +148,7 @@ def _refuse(space: Space) -> None:
             hint="move the fan by belt_x_mm or centre_x_mm away from the edge that heights displace to",
         )
     y = space.y_mm + np.array([[0.0], [1.0]])
+    # how a stripe leans in the image: its place at two Y a millimetre apart
     x = np.vstack([rig.laser.x_mm(float(one), 0.0) for one in y[:, 0]])
     pixels = rig.camera.project(np.stack([x, np.broadcast_to(y, x.shape), np.zeros_like(x)], axis=-1))
     lean = np.abs(np.diff(pixels, axis=0))[0]
@@ -168,6 +172,7 @@ def _figures(scene: RayCasterOptions, space: Space) -> tuple[PlanFigure, ...]:
     rig, top = space.rig, space.top_mm
     camera, y_mm = rig.camera, space.y_mm
     index = rig.laser.count // 2
+    # the middle stripe, on the belt and at the plan's top
     middle = plane_points(rig.laser, y_mm, np.array([0.0, top]))[:, index]
     scale = scale_at(camera, rig.laser, middle)
     stripes = stripes_at(rig, middle, space.albedo, rig.laser.peak_grey[[index] * 2])
@@ -234,11 +239,14 @@ def _sharp_mm(scene: RayCasterOptions, camera: Camera, foot_mm: Floats) -> tuple
     part = scene.camera.focus
     if part is None:
         return np.nan, np.nan
+    # blur at a depth z is `strength` · |z − s| / z: solved for the two depths at which it is half a pixel
     f = camera.focal_length_mm
     strength = 0.25 * f**2 / part.f_number / (part.distance_mm - f) / camera.pixel_size_mm
     share = SHARP_SIGMA_PX / strength
+    # blurred by less than that however far away
     far = part.distance_mm / (1.0 - share) if share < 1.0 else np.inf
     depth = (foot_mm - camera.centre_mm) @ camera.rotation[:, 2]
+    # depths along the axis to heights over the belt
     down = -camera.rotation[2, 2]
     return float((depth - far) * down), float((depth - part.distance_mm / (1.0 + share)) * down)
 
@@ -250,9 +258,11 @@ def _dark(space: Space) -> list[str]:
         points = plane_points(rig.laser, y, np.zeros(1))[0]
         seen = in_view(rig.camera, points)
         for i, one in enumerate(stripes_at(rig, points, space.albedo, rig.laser.peak_grey)):
+            # noise of the background: what the middle must stand above
             gain, read = rig.sensor.grey_per_electron, rig.sensor.read_noise_grey
             noise = np.sqrt(gain * one.background_grey + read**2 + 1.0 / 12.0)
             # what blur leaves of the middle
+            # a blurred stripe is lower by the ratio of its widths
             middle = one.peak_grey * one.line_sigma_px / one.width_px(rig.sensor)
             if seen[i] and middle < _SEEN_SIGMAS * noise:
                 dark.add(i)
@@ -302,6 +312,7 @@ def _reasons(scene: RayCasterOptions, space: Space) -> list[Reason]:
             f"{_NARROW_PX:g} px the place within the pixel shows as a systematic error that is not counted"
         )
         found.append(Reason("narrow", text))
+    # windows of neighbours overlap
     if apart.size and float(apart.min()) < 2.0 * WINDOW_SIGMAS * max(widths):
         text = (
             f"stripes come as near as {apart.min():.1f} px at a standard deviation of {max(widths):.1f} px: "
@@ -404,6 +415,7 @@ def simulated_scatter(space: Space, height_mm: float, seed: int = 5) -> Scatter:
     plate = Block(_PLATE_MM, _PLATE_MM, height_mm, 0.0, space.y_mm) if height_mm > 0.0 else EmptyBelt()
     image = render(rig, plate, even(space.albedo), seed=seed).astype(np.float64)
     points = _points(rig, height_mm, space.y_mm)
+    # at the row's middle, as the plan has it
     middle = points[:, rig.camera.height_px // 2]
     stripes = stripes_at(rig, middle, space.albedo, rig.laser.peak_grey)
     stds = [peak_std(stripe, rig.sensor) for stripe in stripes]
@@ -411,11 +423,13 @@ def simulated_scatter(space: Space, height_mm: float, seed: int = 5) -> Scatter:
     true_px = rig.camera.project(points)[..., 0]
     kept: list[tuple[PeakStd, float, Floats]] = []
     for i, stripe in enumerate(stripes):
+        # empty where the stripe's window does not fit into the image
         off = _offsets(image, true_px[i], stripe, rig)
         if off.size:
             kept.append((stds[i], float(scale[i]), off))
     if not kept:
         return Scatter(height_mm, 0, *([np.nan] * 6))
+    # about each stripe's own mean: a place within the pixel shifts all rows alike
     spread = np.array([off.std(ddof=1) for _, _, off in kept])
     expected = np.array([one.centre_of_gravity_px for one, _, _ in kept])
     per_mm = np.array([each for _, each, _ in kept])
@@ -447,10 +461,12 @@ def _points(rig: Rig, height_mm: float, y_mm: float) -> Floats:
 
     def at(y: Floats) -> Floats:
         n = fan.normals
+        # X on the plane at Y and height
         x = (fan.offsets_mm[:, None] - y * n[:, 1:2] - height_mm * n[:, 2:3]) / n[:, :1]
         return np.stack([x, y, np.full_like(x, height_mm)], axis=-1)
 
     for _ in range(8):  # Newton's method; rows are nearly even in Y
+        # the row of a place one hundredth of a millimetre farther on: a numerical derivative
         here = camera.project(at(y))[..., 1]
         slope = (camera.project(at(y + 0.01))[..., 1] - here) / 0.01
         y = y + (rows - here) / slope
@@ -466,6 +482,7 @@ def _offsets(image: Floats, true_px: Floats, stripe: Stripe, rig: Rig) -> Floats
     columns = middle[:, None] + np.arange(-reach, reach + 1)
     light = image[np.arange(len(image))[:, None], columns]
     light = light - rig.sensor.black_level_grey - stripe.background_grey
+    # background and black level are known here, as the prediction assumes
     centres: Floats = (light * columns).sum(axis=1) / light.sum(axis=1)
     return centres - true_px
 
@@ -499,6 +516,7 @@ _WORTH = 0.75
 def bodies_of(scene: RayCasterOptions, rig: Rig) -> Bodies | None:
     """Draw a few of the scene's products; None where there is none, or none that fits into the view."""
     try:
+        # the first few items, as the simulator would draw them
         drawn = [one.solid for k in range(_DRAWN) for one in draw_item(scene.product, rig, k, 0).products]
     except RoemetryError:
         return None
@@ -515,10 +533,12 @@ def bodies_from(solids: Sequence[Solid]) -> Bodies:
 def _sections(solid: Solid, count: int = 200) -> tuple[tuple[float, float, float, float], Floats]:
     """Length, width, height and mean height, mm, and section areas at places along X, mm²."""
     x_min, x_max, y_min, y_max = solid.footprint_extent_mm()
+    # middles of equal steps: sums are integrals by the midpoint rule
     x = x_min + (np.arange(count) + 0.5) / count * (x_max - x_min)
     y = y_min + (np.arange(count) + 0.5) / count * (y_max - y_min)
     heights = np.nan_to_num(solid.heights_mm(*np.meshgrid(x, y))[0])
     areas = heights.mean(axis=0) * (y_max - y_min)
+    # over the footprint alone, or empty corners would lower the mean
     mean = float(heights[heights > 0.0].mean())
     return (x_max - x_min, y_max - y_min, float(heights.max()), mean), areas
 
@@ -530,14 +550,17 @@ def answer_of(scene: RayCasterOptions, space: Space, bodies: Bodies) -> PlanAnsw
     causes = _causes(space, bodies, has_outline)
     total = math.hypot(*causes.values())
     weight = math.hypot(total, UNDERSIDE_PCT)
+    # a fault counts before any uncertainty: then there is no measurement
     limiting = faults[0] if faults else max(causes, key=causes.__getitem__)
     rigs = _other_rigs(scene, space, bodies)
     now = angle_deg(space)
+    # never shallower than now, but for angles that are steep enough anyway
     good = min((one for one in rigs if one.angle_deg >= min(now - 0.5, _SMALL_DEG)), default=None)
     changes = []
     if good is not None and (faults or good.volume_pct < _WORTH * total):
         changes.append(good.said(now))
     with_one = math.hypot(*_causes(space, bodies, True).values())
+    # an outline is only proposed where it is worth its second image
     if not (faults or with_one > _WORTH * total):
         changes.append(f"a second image in plain light, for an outline: volume ± {with_one:.1f} %")
     steeper = [one for one in rigs if one.stripes < space.rig.laser.count and one.angle_deg > now + 2.0]
@@ -560,6 +583,7 @@ def _faults(space: Space, bodies: Bodies) -> Iterator[str]:
     x_low, x_high, y_low, y_high = view_mm(space.rig.camera, high)
     if bodies.length_mm > x_high - x_low or bodies.width_mm > y_high - y_low:
         yield f"{high:.0f} mm above the belt the camera sees {x_high - x_low:.0f} × {y_high - y_low:.0f} mm"
+    # stripes that can lie on a product
     lines_x = space.belt_points_mm[:, 0]
     under = np.abs(lines_x - lines_x.mean()) < 0.5 * bodies.length_mm
     if (space.in_view_mm[under] < high).any():
@@ -574,11 +598,13 @@ def _faults(space: Space, bodies: Bodies) -> Iterator[str]:
 def _causes(space: Space, bodies: Bodies, has_outline: bool) -> dict[str, float]:
     """Standard uncertainties of the volume by cause, %; in words that end `limited by`."""
     rig, spacing = space.rig, mean_spacing_mm(space)
+    # at half the product's height, as a mean
     middle = plane_points(rig.laser, space.y_mm, np.array([0.5 * bodies.height_mm]))[0]
     index = rig.laser.count // 2
     scale = scale_at(rig.camera, rig.laser, middle[[index]])
     per_px = float(1.0 / np.abs(scale.height_px_per_mm[0]))
     stripe = stripes_at(rig, middle[[index]], space.albedo, rig.laser.peak_grey[[index]])[0]
+    # all rows of all stripes on the product are averaged
     rows = bodies.width_mm / float(scale.y_mm_per_px[0]) * bodies.length_mm / spacing
     noise = peak_std(stripe, rig.sensor).centre_of_gravity_px / math.sqrt(max(rows, 1.0))
     sampling = bodies.sampling_pct(spacing) * (_OUTLINE if has_outline else _SLICES)
@@ -615,10 +641,12 @@ def _other_rigs(scene: RayCasterOptions, space: Space, bodies: Bodies) -> list[_
     distance = float(camera.centre_mm[2])
     middle = space.belt_points_mm[[space.rig.laser.count // 2]]
     least_mm = _SPACING_LEAST_PX * float(scale_at(camera, space.rig.laser, middle).x_mm_per_px[0])
+    # on the side on which the projector is now
     way = math.copysign(1.0, float(space.rig.laser.projector_mm[0] - camera.centre_mm[0]))
     found = []
     for count in range(5, 30, 2):
         spacing = across / (count - 1)
+        # as far aside as the product stays below the unambiguous height, and not too steep
         beside = min(spacing * (_SHARE * distance / bodies.height_mm - 1.0), _STEEP * distance)
         if spacing < least_mm or beside <= 0.0:
             continue
@@ -640,5 +668,6 @@ def angle_deg(space: Space) -> float:
     """Angle between the directions to camera and projector from the middle stripe on the belt, degrees."""
     middle = space.belt_points_mm[space.rig.laser.count // 2]
     ways: Sequence[Floats] = (space.rig.camera.centre_mm - middle, space.rig.laser.projector_mm - middle)
+    # rounding may pass ±1
     cosine = float(ways[0] @ ways[1] / np.linalg.norm(ways[0]) / np.linalg.norm(ways[1]))
     return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))

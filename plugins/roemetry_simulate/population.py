@@ -1,4 +1,10 @@
-"""Products on the belt, item by item: drawn from a family, placed in view, alone or side by side."""
+"""Products on the belt, item by item: drawn from a family, placed in view, alone or side by side.
+
+An item's product has a seed of its own, so that each item can be made again by itself. One that does not fit
+into the view is refused with both sizes, not cut. Several in a frame are moved, not turned, to free places
+drawn uniformly, on a grid of half a millimetre that holds what is taken and its gap; after 200 tries for one
+the belt is emptied and all are laid anew, up to 20 times.
+"""
 
 from __future__ import annotations
 
@@ -54,6 +60,7 @@ def draw_item(part: ProductPart, rig: Rig, number: int, seed: int) -> ItemProduc
         A product is larger than the view, or there is no room for so many.
     """
     chosen = part.items[number] if number < len(part.items) else None
+    # items that were chosen come first; the others count on from the set's own seed
     item_seed = seed + number - len(part.items) if chosen is None else chosen.seed
     if part.family == NONE:
         return ItemProducts(item_seed, ())
@@ -63,6 +70,7 @@ def draw_item(part: ProductPart, rig: Rig, number: int, seed: int) -> ItemProduc
     if part.in_frame > 1:
         drawn = [family.draw(item_seed + _NEXT_IN_FRAME * k, options) for k in range(part.in_frame)]
         return ItemProducts(item_seed, side_by_side(drawn, rig, part, item_seed, name))
+    # drawn where the family puts it, then moved into reach
     one = family.draw(item_seed, options)
     if part.keep_in_reach:
         one = in_reach(one, rig, part.most_overhang_spacings)
@@ -82,6 +90,7 @@ def in_reach(drawn: Drawn, rig: Rig, most_overhang_spacings: float) -> Drawn:
     need be; one that is too long is moved as far as it helps.
     """
     x_min, x_max, y_min, y_max = drawn.solid.footprint_extent_mm()
+    # at a quarter of its height: where ends are lit and seen, not at the belt
     height_mm = 0.25 * drawn.solid.body().top_mm
     low, high, _, _ = view_mm(rig.camera, height_mm)
     low, high = low + _MARGIN_MM, high - _MARGIN_MM
@@ -89,6 +98,7 @@ def in_reach(drawn: Drawn, rig: Rig, most_overhang_spacings: float) -> Drawn:
     if fan.size > 1:
         beyond_mm = most_overhang_spacings * float(np.diff(fan).mean())
         low, high = max(low, float(fan[0]) - beyond_mm), min(high, float(fan[-1]) + beyond_mm)
+    # as far as needed from one side, or from the other; too long for both it is left where it helps
     shift_mm = max(low - x_min, 0.0) + min(high - x_max, 0.0)
     return drawn if shift_mm == 0.0 else moved_to(drawn, shift_mm, 0.0)
 
@@ -184,6 +194,7 @@ def side_by_side(
     low_x, high_x, low_y, high_y = _room(rig, part.most_overhang_spacings)
     shape = (int((high_y - low_y) / _CELL_MM), int((high_x - low_x) / _CELL_MM))
     masks = [_mask(one) for one in products]
+    # larger than the view: no number of tries helps
     fits = all(mask.shape[0] < shape[0] and mask.shape[1] < shape[1] for mask in masks)
     for _ in range(_STARTS if fits else 0):
         taken = np.zeros(shape, bool)
@@ -192,11 +203,13 @@ def side_by_side(
             at = _free_place(rng, taken, mask)
             if at is None:
                 break
+            # by the cell that was found to where the footprint must begin
             x_min, _, y_min, _ = one.solid.footprint_extent_mm()
             laid.append(moved_to(one, low_x + _CELL_MM * at[1] - x_min, low_y + _CELL_MM * at[0] - y_min))
             taken[at[0] : at[0] + mask.shape[0], at[1] : at[1] + mask.shape[1]] |= mask
             taken = _grown(taken, mask, at, part.gap_mm)
         else:
+            # left to right by the middles
             return tuple(sorted(laid, key=lambda one: sum(one.solid.footprint_extent_mm()[:2])))
     raise StageError(
         f"{name}: there is no room for {len(products)} products on X = {low_x:.1f} to {high_x:.1f} mm, "
@@ -224,6 +237,7 @@ def _mask(one: Drawn) -> Flags:
     x, y = np.meshgrid(
         np.arange(x_min, x_max + _CELL_MM, _CELL_MM), np.arange(y_min, y_max + _CELL_MM, _CELL_MM)
     )
+    # one cell wider all round: the footprint may end anywhere in a cell
     mask: Flags = binary_dilation(np.isfinite(one.solid.heights_mm(x, y)[0]))
     return mask
 
@@ -241,6 +255,7 @@ def _grown(taken: Flags, mask: Flags, at: tuple[int, int], gap_mm: float) -> Fla
     """Add what lies within the gap of the product that was laid last."""
     from scipy.ndimage import distance_transform_edt
 
+    # distance of every cell from the product
     alone = np.ones(taken.shape, bool)
     alone[at[0] : at[0] + mask.shape[0], at[1] : at[1] + mask.shape[1]] = ~mask
     near: Flags = _CELL_MM * distance_transform_edt(alone) <= gap_mm
@@ -347,6 +362,7 @@ def _parts(members: Sequence[ExactBody]) -> ExactBody:
     tables, first = [], 0.0
     for one in members:
         table = one.surfaces.copy()
+        # numbers of parts go on from member to member
         table[:, 0] += first
         first = float(table[-1, 0]) + 1.0
         tables.append(table)

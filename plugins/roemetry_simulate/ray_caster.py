@@ -1,6 +1,12 @@
 """The simulator stage: a scene file's options in, images and their truth out.
 
-True are stripe centres, by rays and planes, and how much of a defect the stripes show.
+Model of the truth. A stripe's centre in an image row is where the surface that the camera sees there changes
+from one side of the plane of light (or of the cone) to the other, n·X − d = 0, and is lit as well. Each row
+is looked at every eighth of a pixel, and each change of side is halved down to 1e-7 px; a change that ends in
+a jump, as at an edge, is no crossing. Of dots it is where the middle of a ray meets a surface that is seen.
+What the stripes show of a defect is the difference from the same product without it, at lit and seen points.
+
+Assumed: rays of light are lines, planes are thin. Two crossings within one step of the search are missed.
 """
 
 from __future__ import annotations
@@ -64,12 +70,14 @@ def dot_centres(camera: Camera, laser: LaserFan, solid: Solid) -> Crossings:
     on = np.full(shape, -1, np.int8)
     hits = np.zeros(shape, np.int8)
     seen = camera.project(lit[..., :3])
+    # the row in which a dot is seen is the pixel row nearest to its middle
     row = np.rint(np.nan_to_num(seen[..., 1], nan=-1.0)).astype(np.int64)
     inside = (
         (row >= 0)
         & (row < shape[1])
         & (np.abs(seen[..., 0] - 0.5 * (camera.width_px - 1)) < 0.5 * camera.width_px)
     )
+    # a plane without light has no dots
     for stripe, line in np.argwhere(inside & (laser.peak_grey > 0.0)[:, None]):
         at = stripe, row[stripe, line]
         hits[at] += 1
@@ -87,11 +95,13 @@ def _meet_rays(body: AnyBody, projector: Floats, camera: Floats, ways: Floats) -
     beam, scratch = np.zeros(3), np.zeros(3)
     for i in range(ways.shape[0]):
         for j in range(ways.shape[1]):
+            # from the projector: where the ray's dot falls
             on = first_hit_in(body, reach, projector, ways[i, j], 1e-4, point)
             if on < 0:
                 continue
             normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
             normal_at(body, on, point, normal)
+            # and is it seen from the camera
             if sees_in(body, reach, point, normal, camera, beam, scratch) == 0.0:
                 continue
             for m in range(3):
@@ -172,11 +182,13 @@ def _search(
     sides = np.empty((steps + 1, count))
     for row in range(rows):
         for k in range(steps + 1):
+            # every sample of the row once, for all planes: sight is what costs
             camera_ray(pinhole, rotation, -0.5 + k * step_px, row, view)
             on = first_hit_in(body, reach, pinhole[:3], view, 1e-4, point)
             for i in range(count):
                 sides[k, i] = np.nan
                 if on >= 0:
+                    # signed distance of what is seen there from each plane
                     sides[k, i] = -planes[i, 3]
                     for m in range(3):
                         sides[k, i] += planes[i, m] * point[m]
@@ -185,10 +197,12 @@ def _search(
             if planes[i, 4] == 0.0:
                 continue
             for k in range(steps):
+                # no change of side between two samples: no crossing, or two
                 if (sides[k, i] <= 0.0) == (sides[k + 1, i] <= 0.0):
                     continue
                 low, high = -0.5 + k * step_px, -0.5 + (k + 1) * step_px
                 low_negative = sides[k, i] <= 0.0
+                # halving, and not false position: over an edge the distance jumps
                 while high - low > _TOLERANCE_PX:
                     middle = 0.5 * (low + high)
                     f, on = _side(
@@ -202,12 +216,15 @@ def _search(
                 f, on = _side(body, reach, pinhole, rotation, projector, planes[i], x_px, row, view, point)
                 if not _on_half(projector, planes[i], point):
                     continue
+                # the plane is not where the search ended: it jumped over an edge
                 if not abs(f) < _MAX_RESIDUAL_MM or x_px > columns - 0.5:
                     continue  # a jump from one surface to another, not a crossing
                 normal_at(body, on, point, normal)
+                # seen, and lit as well
                 if sees_in(body, reach, point, normal, projector, beam, scratch) == 0.0:
                     continue
                 hits_out[i, row] += 1
+                # the product rather than the belt, then the higher one
                 if on < on_out[i, row] or (on == on_out[i, row] and point[2] <= xyz_out[i, row, 2]):
                     continue
                 x_out[i, row] = x_px
@@ -231,6 +248,7 @@ def stripes_show(
     x_min, x_max, y_min, y_max = solid.footprint_extent_mm()
     depth = 0.0
     if reference is not None and reference is not solid:
+        # on the whole footprint, also where no stripe lies
         x, y = np.meshgrid(np.arange(x_min, x_max, step_mm), np.arange(y_min, y_max, step_mm))
         depth = _most_mm(reference.heights_mm(x, y)[0] - solid.heights_mm(x, y)[0])
     found = dict.fromkeys(
@@ -264,6 +282,7 @@ def _hollow_mm(profile_mm: Floats) -> float:
     points = profile_mm[np.argsort(profile_mm[:, 0])]
     hull: list[Floats] = []
     for point in points:
+        # upper hull from left to right, as in Andrew's monotone chain
         while len(hull) > 1:
             (ay, az), (by, bz) = hull[-2], hull[-1]
             if (by - ay) * (point[1] - az) < (bz - az) * (point[0] - ay):
@@ -310,10 +329,12 @@ class RayCaster(RigSimulator[RayCasterOptions]):
                 off = replace(laser, peak_grey=np.zeros_like(laser.peak_grey), across=None)
                 rig = replace(rig, laser=off)
             # a dark image has a noise of its own
+            # seeds of products count up; this is far beyond them
             noise_seed = lying.seed if role != "dark" else lying.seed + 2**32
             given: Any = {"samples": self.options.samples, "draft": self.options.draft}
             pixels = render(rig, solid, surface, seed=noise_seed, plain=role == "plain", **given)
             frames.append(self._frame(pixels, role, number))
+        # each product's figures from its own points: to the others it is belt
         products = tuple(
             _truth_of(
                 one, lying.seed, replace(crossings, on_product=(stripes.product == place).astype(np.int8))

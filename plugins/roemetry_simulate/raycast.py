@@ -1,4 +1,19 @@
-"""Where rays meet bodies: height fields, parts and triangles, with exact shadows."""
+"""Where rays meet bodies: height fields, parts and triangles, with exact shadows.
+
+Model. A ray o + t·d meets the belt z = 0, or a body within the box that holds it. A gridded body
+(`GriddedSolid`) is where
+
+    f(x, y, z) = (z − mid(x, y))² − u(x, y) ≤ 0,    u of the upper side above mid, of the lower one below
+
+with mid and u bilinear in each cell. Along the ray f can fall no faster than the steepest slopes of mid and u
+allow, so the march takes steps that cannot pass the surface, and ends in a bracket that false position and
+bisection shrink to a tolerance. Bodies of exact parts and of triangles have closed forms (`products.parts`,
+`products.mesh`). A point is lit, or seen, where nothing lies between it and the light or the camera and its
+surface faces it.
+
+Assumed: a body's `reach` holds all of it, and rays to the belt come from above. It fails where a gridded rim
+is thinner than the least step of the march: a grazing ray may miss it.
+"""
 
 from __future__ import annotations
 
@@ -57,6 +72,7 @@ def _hit_simple(body: Body, o: Floats, d: Floats, t_max: float, tol_mm: float) -
 def _hit_fields(body: Fields, o: Floats, d: Floats, t_max: float, tol_mm: float) -> float:
     """Distance along a unit direction to the nearest of several gridded bodies, or MISS."""
     best = MISS
+    # the nearest of several: each only has to beat the best so far
     for k in range(body.places.shape[0]):
         p = body.places[k]
         place, bounds = (p[0], p[1], p[2]), (p[3], p[4], p[5])
@@ -96,8 +112,10 @@ def first_hit_in(body: AnyBody, reach: Reach, o: Floats, d: Floats, tol_mm: floa
     Kernels take it out of the body once: numba counts references of every array that is handed on, and most
     rays never come near the body.
     """
+    # where the belt would be met; upwards it never is
     t_belt = -o[2] / d[2] if d[2] < 0.0 else 1e300
     t = MISS
+    # most rays miss the box: the belt needs no march
     if _may_meet(reach, o, d, t_belt):
         t = hit_body(body, o, d, t_belt, tol_mm)
     on = 1
@@ -108,6 +126,7 @@ def first_hit_in(body: AnyBody, reach: Reach, o: Floats, d: Floats, tol_mm: floa
     for k in range(3):
         point[k] = o[k] + t * d[k]
     if on == 0:
+        # exactly on the belt, without rounding
         point[2] = 0.0
     return on
 
@@ -140,6 +159,7 @@ def _normal_fields(body: Fields, point: Floats, normal: Floats) -> None:
         inside = True
         for m in range(2):
             size = (p[8 - m] - 1.0) * p[2]
+            # grids may overlap in their extents though bodies do not
             inside = inside and p[m] <= point[m] <= p[m] + size
         if not inside:
             continue
@@ -176,6 +196,7 @@ def sees_in(
     body: AnyBody, reach: Reach, point: Floats, normal: Floats, light: Floats, d: Floats, start: Floats
 ) -> float:
     """Do what `sees` does, faster: `reach` is the body's own, taken out of it once."""
+    # from the surface towards the light
     length = 0.0
     for k in range(3):
         d[k] = light[k] - point[k]
@@ -185,9 +206,11 @@ def sees_in(
     for k in range(3):
         d[k] /= length
         cosine += d[k] * normal[k]
+    # turned away: no ray is needed
     if cosine <= 0.0:
         return 0.0
     for k in range(3):
+        # a little off the surface, or it would shadow itself
         start[k] = point[k] + 1e-4 * normal[k]
     if not _may_meet(reach, start, d, length):
         return cosine
@@ -202,10 +225,12 @@ def field_value(grid: Floats, place: Place, x: float, y: float, z: float) -> tup
     j = min(max(int(at_y), 0), grid.shape[0] - 2)
     a, b = at_x - i, at_y - j
     w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+    # bilinear weights of the cell's four nodes
     mid = (
         w00 * grid[j, i, 0] + w01 * grid[j, i + 1, 0] + w10 * grid[j + 1, i, 0] + w11 * grid[j + 1, i + 1, 0]
     )
     w = z - mid
+    # above the mid-surface the upper square holds, below it the lower
     m = 1 if w >= 0.0 else 2
     u = w00 * grid[j, i, m] + w01 * grid[j, i + 1, m] + w10 * grid[j + 1, i, m] + w11 * grid[j + 1, i + 1, m]
     return w * w - u, w
@@ -219,6 +244,7 @@ def _refine(
     for k in range(200):
         if t2 - t <= tol_mm:
             break
+        # false position twice, then a bisection: plain false position may creep from one side
         share = f / (f - f2) if k % 3 < 2 else 0.5
         share = min(max(share, 0.02), 0.98)
         middle = t + share * (t2 - t)
@@ -239,19 +265,24 @@ def hit_field(
     """March along a unit direction by steps that cannot overshoot the surface, then refine."""
     x_max = place[0] + (grid.shape[1] - 1) * place[2]
     y_max = place[1] + (grid.shape[0] - 1) * place[2]
+    # the body's box without its border bounds the march
     near, far = between_sides((place[0], place[1], 0.0, x_max, y_max, bounds[0]), o, d, t_max)
     if near >= far:
         return MISS
     flat = math.sqrt(d[0] * d[0] + d[1] * d[1])
+    # f = (z − mid)² − u: along the ray z − mid changes by at most `fall`, u by at most `side` a millimetre
     fall = abs(d[2]) + bounds[1] * flat
     side = bounds[2] * flat
     t = near
     f, w = field_value(grid, place, o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
+    # starts inside: hit at once
     if f <= 0.0:
         return t
     while t < far:
         b = 2.0 * abs(w) * fall + side
+        # over a way t, f falls by at most b·t + fall²·t²; the step is shorter: b·t + 2·fall²·t² = f
         step = (math.sqrt(b * b + 8.0 * fall * fall * f) - b) / (4.0 * fall * fall)
+        # a grazing ray would else never end
         t2 = min(t + max(step, _LEAST_STEP_MM), far)
         f2, w = field_value(grid, place, o[0] + t2 * d[0], o[1] + t2 * d[1], o[2] + t2 * d[2])
         if f2 <= 0.0:
@@ -261,6 +292,7 @@ def hit_field(
 
 
 @kernel
+# gradient of f: the cell's bilinear slopes, without the node's kinks
 def field_normal(grid: Floats, place: Place, point: Floats, normal: Floats) -> None:
     """Write the outward unit normal of a gridded body at a point of its skin."""
     at_x, at_y = (point[0] - place[0]) / place[2], (point[1] - place[1]) / place[2]
@@ -283,6 +315,7 @@ def field_normal(grid: Floats, place: Place, point: Floats, normal: Floats) -> N
     normal[1] = -(2.0 * w * slope_y[0] + slope_y[1]) / place[2]
     normal[2] = 2.0 * w
     length = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+    # on the ridge line of a rim both vanish: upwards
     if length == 0.0:
         normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
         return

@@ -92,6 +92,7 @@ def laser_light(
     """Light of the laser and of all else, grey levels over black, without noise, blur or clipping."""
     laser, steady = _fan_light(rig, solid, surface, samples, draft=draft)
     if rig.laser.across is not None:
+        # light adds: both families fall on the same surface without regard to each other
         laser += _fan_light(replace(rig, laser=rig.laser.across), solid, surface, samples, draft=draft)[0]
     return laser, steady
 
@@ -103,6 +104,7 @@ def _fan_light(
     image = np.zeros((rig.camera.height_px, rig.camera.width_px, 3))
     if draft:
         _light(rig, solid, surface, 1, image, step=_DRAFT_STEP)
+        # laser, ambient and stray in grey levels, so that one limit says where an image is uneven
         grey = _rays_of(image) @ np.array([1.0, rig.ambient_grey, rig.stray_grey])
         _fill_between(image)
         _light(rig, solid, surface, _DRAFT_SAMPLES, image, _around(_uneven(grey), image.shape))
@@ -121,7 +123,9 @@ def _light(
     """
     camera, laser = rig.camera, rig.laser
     planes = np.column_stack([laser.normals, laser.offsets_mm, laser.peak_grey])
+    # n·X = d, and the grey level in the plane's middle
     if len(laser.halves):  # one half stands for the whole circle
+        # halves are in order from the left ones inwards; those of the right half alone are each circle once
         planes = np.column_stack([planes, laser.halves[:, 0]])[laser.count // 2 :]
     stray = np.zeros(4) if rig.stray_mm is None else np.array([*rig.stray_mm, 1.0])
     _render_laser(
@@ -160,6 +164,7 @@ def plain_light(rig: Rig, solid: Solid, surface: Surface, samples: int = 4, *, d
         _under_lamps(rig, solid, surface, samples, image[..., None])
     if rig.stray_mm is None:
         return rig.plain_grey * image
+    # the stray lamp needs the laser's renderer: the same, with dark planes
     dark = replace(rig, laser=replace(rig.laser, peak_grey=np.zeros(rig.laser.count)))
     stray = np.zeros((*image.shape, 3))
     _light(dark, solid, surface, samples, stray)
@@ -177,6 +182,7 @@ def _under_lamps(
     """
     camera = rig.camera
     count = square**2 * samples * samples
+    # as many lamps as samples in a square of pixels: each sample sees one, the square all of them
     angle = 2.0 * np.pi * np.arange(count) / count
     x, y = rig.lamp_radius_mm * np.cos(angle), rig.lamp_radius_mm * np.sin(angle)
     lamps = np.column_stack([x, y, np.full(count, rig.lamp_height_mm)])
@@ -206,8 +212,10 @@ def _rays_of(image: NDArray[Any]) -> NDArray[Any]:
 
 def _fill_between(image: Floats) -> None:
     """Fill the pixels between the rays of a first look, (height, width, …), straight from one to the next."""
+    # first along the columns of the rows that were cast, then whole rows between these
     for whole in (np.swapaxes(image[::_DRAFT_STEP], 0, 1), image):
         whole[1:-1:2] = 0.5 * (whole[:-2:2] + whole[2::2])
+        # an even length has no ray at its end
         if len(whole) % 2 == 0:
             whole[-1] = whole[-2]
 
@@ -239,6 +247,7 @@ def render(
     edges or stripes.
     """
     lens = None
+    # the depth tells how far out of focus each pixel is
     if (focus := rig.focus) is not None:
         lens = partial(defocused, camera=rig.camera, focus=focus, depth_mm=depths_mm(rig.camera, solid))
     if plain:
@@ -257,6 +266,7 @@ def _in_colours(
     lens: Callable[[Floats], Floats] | None, *, draft: bool,
 ) -> NDArray[Any]:  # fmt: skip
     """Take an image of planes that are red and green in turn, (row, column, colour): blue, green, red."""
+    # planes in turn: even numbers are red, odd ones green
     turn = np.arange(rig.laser.count) % 2
     families = (
         replace(rig.laser, peak_grey=np.where(turn == one, rig.laser.peak_grey, 0.0)) for one in (0, 1)
@@ -264,7 +274,9 @@ def _in_colours(
     (red, steady), (green, _) = (
         laser_light(replace(rig, laser=family), solid, surface, samples, draft=draft) for family in families
     )
+    # blue sees nothing of either
     channels = np.zeros_like(red), green + leak * red, red + leak * green
+    # far apart from the seeds of other items
     seeds = (seed + one * 2**33 for one in (2, 1, 0))  # each channel has a noise of its own
     return np.stack(
         [
@@ -299,20 +311,25 @@ def expose(
     """
     rng = np.random.default_rng([seed, 29])
     kind: Any = np.float32 if draft else np.float64
+    # speckle is the laser's alone; in a draft without laser no field is drawn
     light = steady.astype(kind)
     if sensor.speckle_contrast > 0.0 and (not draft or laser.any()):
         light += _speckle(rng, laser.shape, sensor, kind) * laser
     else:
         light += laser
+    # the lens's blur comes after speckle and before shot noise: photons are counted on the sensor
     light = blurred(light if lens is None else lens(light), sensor.psf_sigma_px)
+    # blur may leave tiny negative values
     electrons = np.maximum(light, 0.0) / kind(sensor.grey_per_electron)
     if draft:
         electrons += np.sqrt(electrons) * rng.standard_normal(light.shape, kind)
     else:
         electrons = rng.poisson(electrons)
+    # what does not fit into the well is lost, before the read noise
     if math.isfinite(sensor.full_well_e):
         electrons = np.minimum(electrons, int(sensor.full_well_e))
     grey = electrons * kind(sensor.grey_per_electron) + kind(sensor.black_level_grey)
+    # read noise does not depend on the light
     grey += kind(sensor.read_noise_grey) * rng.standard_normal(laser.shape, kind)
     white = 2**sensor.bit_depth - 1
     return np.clip(np.floor(grey + 0.5), 0, white).astype(np.uint8 if sensor.bit_depth <= 8 else np.uint16)
@@ -323,7 +340,9 @@ def _speckle(rng: np.random.Generator, shape: tuple[int, ...], sensor: Sensor, k
     noise = rng.standard_normal(shape, kind)
     if sensor.speckle_sigma_px > 0.0:
         noise = blurred(noise, sensor.speckle_sigma_px)
+        # blurring has made the noise smaller; contrast is set on the blurred grain
         noise /= noise.std()
+    # log-normal: exp of a normal number with variance ln(1 + contrast²) and the mean that makes its own 1
     spread = kind(np.sqrt(np.log1p(sensor.speckle_contrast**2)))
     grain: Floats = np.exp(spread * noise - kind(0.5) * spread**2)
     return grain
@@ -345,10 +364,12 @@ def _render_laser(
             if not where[row, column]:
                 continue
             image[row, column] = 0.0
+            # samples stand in the middles of equal squares of the pixel, whose middle is its coordinate
             for k in range(samples * samples):
                 x_px = column + (k % samples + 0.5) / samples - 0.5
                 y_px = row + (k // samples + 0.5) / samples - 0.5
                 camera_ray(pinhole, rotation, x_px, y_px, view)
+                # beside belt and product nothing comes back
                 on = first_hit_in(body, reach, origin, view, 1e-4, point)
                 if on < 0:
                     continue
@@ -358,25 +379,32 @@ def _render_laser(
                     normal_at(body, on, point, normal)
                     if picture.size > 1:
                         grey *= picture_at(picture, picture_from, point)
+                # as of a bright sky: all of it on a level surface, half on a wall
                 image[row, column, 1] += share * grey * (0.5 + 0.5 * normal[2])
                 if stray[3] > 0.0:
+                    # 0 where the lamp is behind the surface or hidden
                     cosine = sees_in(body, reach, point, normal, stray[:3], beam, scratch)
                     if cosine > 0.0:
                         gloss = gloss_at(albedo, maps, texture, point, on)
                         mirrored = specular(gloss, albedo[4], normal, beam, view)
                         image[row, column, 2] += share * (grey * cosine + mirrored)
                 wide = width_at(fan, projector, point)
+                # where the beam is wide its light is spread: the peak falls as the width grows
                 light = pattern_light(planes, rows, projector, point, normal, 0.0, wide) * (fan[0] / wide)
                 soft = 0.0
                 if on == 1 and below[0] > 0.0:
+                    # below the surface the light is wider by the scattering, as independent deviations add
                     spread = math.sqrt(wide * wide + below[2] * below[2])
                     soft = below[0] * pattern_light(planes, rows, projector, point, normal, below[1], spread)
                     soft *= fan[0] / spread
+                # far from every plane: no shadow ray is cast, which most samples are spared
                 if light == 0.0 and soft == 0.0:
                     continue
                 cosine = sees_in(body, reach, point, normal, projector, beam, scratch)
                 if cosine == 0.0:
                     continue
+                # sine of the angle between beam and the plane across the lines: where along the line the
+                # point lies
                 run = 0.0
                 for m in range(3):
                     run -= beam[m] * axis[m]
@@ -385,6 +413,7 @@ def _render_laser(
                 light *= fall
                 mirrored = specular(gloss_at(albedo, maps, texture, point, on), albedo[4], normal, beam, view)
                 if on == 1 and below[0] > 0.0:
+                    # what goes below the surface is not reflected at it; gloss is not scattered
                     scattered = grey * cosine * ((1.0 - below[0]) * light + fall * soft)
                     image[row, column, 0] += share * (scattered + light * mirrored)
                 else:
@@ -403,6 +432,7 @@ def _render_plain(
     share = 1.0 / (samples * samples)
     apart = image.shape[2] == 2
     first = lamps[0, 0]
+    # cosine at which a lamp of the ring lights a level surface at the origin: what `plain_grey` is meant for
     level = first[2] / math.sqrt(first[0] ** 2 + first[1] ** 2 + first[2] ** 2)
     square = round(math.sqrt(lamps.shape[1]))
     for row in range(0, where.shape[0], step):
@@ -424,8 +454,10 @@ def _render_plain(
                     normal_at(body, on, point, normal)
                     if picture.size > 1:
                         grey *= picture_at(picture, picture_from, point)
+                # neighbouring pixels see neighbouring lamps of the ring
                 lamp = lamps[k, square * (row // step % square) + column // step % square]
                 cosine = sees_in(body, reach, point, normal, lamp, beam, scratch)
+                # a quarter of the light is diffuse, from all sides
                 light = 0.25 * (0.5 + 0.5 * normal[2]) * grey
                 if cosine > 0.0:
                     gloss = 0.5 * gloss_at(albedo, maps, texture, point, on)
@@ -448,6 +480,7 @@ _REACH = 5.0
 def texture_at(maps: Floats, texture: Floats, point: Floats, layer: int) -> float:
     """Bilinear lookup in a layer of the maps over the belt."""
     rows, columns = texture.shape[0], texture.shape[1]
+    # beyond the map its border's value holds
     u = min(max((point[0] - maps[0]) / maps[2], 0.0), columns - 1.0)
     v = min(max((point[1] - maps[1]) / maps[2], 0.0), rows - 1.0)
     i, j = min(int(u), columns - 2), min(int(v), rows - 2)
@@ -460,6 +493,7 @@ def texture_at(maps: Floats, texture: Floats, point: Floats, layer: int) -> floa
 @kernel
 def gloss_at(albedo: Floats, maps: Floats, texture: Floats, point: Floats, on: int) -> float:
     """Share of mirror-like light at a point: of belt or product, or of a wet place on it."""
+    # without wet places a surface has one gloss
     if texture.shape[2] == 2:
         return albedo[2 + on]
     return max(albedo[2 + on], texture_at(maps, texture, point, 2 + on))
@@ -474,6 +508,7 @@ def picture_at(picture: Floats, picture_from: Floats, point: Floats) -> float:
         u += picture_from[0, m] * point[m]
         v += picture_from[1, m] * point[m]
     rows, columns = picture.shape[0], picture.shape[1]
+    # beside the picture the product has its own albedo
     if u < 0.0 or v < 0.0 or u > columns - 1.0 or v > rows - 1.0:
         return 1.0
     i, j = min(int(u), columns - 2), min(int(v), rows - 2)
@@ -486,11 +521,13 @@ def picture_at(picture: Floats, picture_from: Floats, point: Floats) -> float:
 @kernel
 def width_at(fan: Floats, projector: Floats, point: Floats) -> float:
     """Return the planes' standard deviation (mm) at a point's distance from the projector."""
+    # light that does not diverge has one width everywhere
     if fan[3] == 0.0:
         return fan[0]
     away = 0.0
     for m in range(3):
         away += (point[m] - projector[m]) ** 2
+    # Gaussian beam far from its waist: the deviation grows in proportion to the distance
     grown = fan[3] * (math.sqrt(away) - fan[2])
     return math.sqrt(fan[0] * fan[0] + grown * grown)
 
@@ -501,6 +538,7 @@ def pattern_light(
     sigma_mm: float,
 ) -> float:  # fmt: skip
     """Light of all lines or circles, or of the dots that rows leave of them, before angles are counted."""
+    # a dot is where two planes meet: the product of both profiles
     light = planes_light(planes, projector, point, normal, depth_mm, sigma_mm)
     if rows.shape[0] > 0 and light > 0.0:
         light *= planes_light(rows, projector, point, normal, depth_mm, sigma_mm)
@@ -516,6 +554,7 @@ def planes_light(
     The planes fan from one point and are in order, so the few that are near are found by halving. Cones,
     which have a sixth number, are in order, too.
     """
+    # the point that lit the surface lies that deep below it, along the normal
     x = point[0] - depth_mm * normal[0]
     y = point[1] - depth_mm * normal[1]
     z = point[2] - depth_mm * normal[2]
@@ -523,6 +562,7 @@ def planes_light(
     cones, away_mm = planes.shape[1] > 5, 0.0
     if cones:
         away_mm = math.sqrt((x - projector[0]) ** 2 + (y - projector[1]) ** 2 + (z - projector[2]) ** 2)
+    # halving: the first plane whose distance is below the reach; distances fall with the number
     low, high = 0, planes.shape[0]
     while low < high:
         middle = (low + high) // 2
@@ -535,6 +575,7 @@ def planes_light(
     light = 0.0
     for i in range(low, planes.shape[0]):
         p = planes[i]
+        # beyond the last that reaches here the others are farther still
         away = p[0] * x + p[1] * y + p[2] * z - p[3] - (p[5] * away_mm if cones else 0.0)
         if away <= -reach:
             break
@@ -550,6 +591,7 @@ def specular(gloss: float, exponent: float, normal: Floats, beam: Floats, view: 
         return 0.0
     length, dot = 0.0, 0.0
     for m in range(3):
+        # half-way between the directions to the lamp and to the camera
         half = beam[m] - view[m]
         length += half * half
         dot += half * normal[m]

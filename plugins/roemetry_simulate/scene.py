@@ -166,6 +166,7 @@ class RayCasterOptions(StageOptions):
 def rig_of(scene: RayCasterOptions) -> Rig:
     """Return the rig that a scene describes, its light in grey levels of the exposure and gain."""
     camera, laser, light = scene.camera, scene.laser, scene.light
+    # grey levels of one electron a millisecond
     grey = camera.exposure_ms * camera.gain_dn_per_e
     focus = camera.focus
     return Rig(
@@ -217,6 +218,8 @@ def _grain_px(camera: CameraPart, laser: LaserPart) -> float:
     f_number = 8.0 if camera.focus is None else camera.focus.f_number
     away_mm = camera.distance_mm if camera.focus is None else camera.focus.distance_mm
     magnified = camera.focal_length_mm / max(away_mm - camera.focal_length_mm, 1.0)
+    # grain of speckle: λ N (1 + magnification) wide on the sensor; a Gaussian's full width is 2.355
+    # deviations
     grain_um = 1e-3 * laser.wavelength_nm * f_number * (1.0 + magnified)
     return grain_um / camera.pixel_size_um / 2.355
 
@@ -249,6 +252,7 @@ def laser_of(part: LaserPart, grey_per_e_per_ms: float) -> LaserFan:
         part.lines_x_mm,
         yaw_deg=part.yaw_deg,
         pitch_deg=part.pitch_deg,
+        # 4 deviations are a laser line's width; half of an opening angle is to one side
         sigma_mm=0.25 * part.line_width_mm,
         peak_grey=part.peak_e_per_ms * grey_per_e_per_ms * power,
         line_sigma_deg=part.fall_deg,
@@ -283,6 +287,7 @@ def check_camera(part: CameraPart) -> None:
     rays = camera.ray(x, y)
     if (rays[:, 2] >= -1e-3).any():
         named = "T_belt_camera"
+        # the tilt that turns it farther is named
         if part.T_belt_camera is None:
             named = "tilt_x_deg" if abs(part.tilt_x_deg) > abs(part.tilt_y_deg) else "tilt_y_deg"
         why = "a part of the image does not see the belt: the camera is tilted too far"
@@ -294,6 +299,7 @@ def check_laser(camera_part: CameraPart, part: LaserPart) -> None:
     camera = camera_of(camera_part)
     fan = laser_of(part, 1.0)
     lit = np.flatnonzero(fan.peak_grey > 0.0)
+    # signed distances along the view's border: a plane crosses the view where both signs are seen
     sides = fan.distance_mm(border_points_mm(camera, 0.0))[:, lit]
     crossed = (sides.min(axis=0) < 0.0) & (sides.max(axis=0) > 0.0)
     if not crossed.any():
@@ -312,9 +318,11 @@ def _check_distortion(camera: Camera, x: Floats, y: Floats) -> None:
     f, (cx, cy) = camera.focal_length_px, camera.principal_px
     far_x, far_y = undistort(np.stack([x - cx, y - cy], axis=1) / f, np.array(camera.distortion)).T
     out = np.linspace(0.0, 1.0, 65)[:, None]
+    # radial distance in the image must rise with that in space, all the way to the border
     k1, k2, _, _, k3 = camera.distortion
     r = np.hypot(far_x, far_y) * out
     image_r = r * (1.0 + r**2 * (k1 + r**2 * (k2 + r**2 * k3)))
+    # and the lens, undone and done again, must come back
     back = camera.project(camera.centre_mm + 100.0 * camera.ray(x, y))
     off = np.hypot(back[:, 0] - x, back[:, 1] - y)
     if not np.isfinite(r).all() or (np.diff(image_r, axis=0) <= 0.0).any() or not off.max() < 1e-6:
@@ -338,10 +346,12 @@ def contaminate(
         spots = _spots(np.random.default_rng([seed, 61]), dirt.count, dirt.diameter_mm, view_mm(rig.camera))
         belt *= 1.0 - (1.0 - dirt.albedo) * _covered(spots, x, y, surface.step_mm)
         for patch in patches:
+            # distance outside the rectangle, negative inside
             away = np.maximum(
                 np.maximum(patch.x_mm[0] - x, x - patch.x_mm[1])[None, :],
                 np.maximum(patch.y_mm[0] - y, y - patch.y_mm[1])[:, None],
             )
+            # share of a node's square that is covered
             share = np.clip(0.5 - away / surface.step_mm, 0.0, 1.0)
             belt = belt * (1.0 - share) + share * patch.albedo * texture[..., 0]
         texture = np.stack([belt, texture[..., 1]], axis=-1)
@@ -351,6 +361,7 @@ def contaminate(
             [_spots(rng, wet.count, wet.diameter_mm, one.solid.footprint_extent_mm()) for one in products]
         )
         gloss = wet.gloss * _covered(spots, x, y, surface.step_mm)
+        # layers 2 and 3: gloss of belt (none) and product
         texture = np.concatenate([texture, np.zeros_like(gloss)[..., None], gloss[..., None]], axis=-1)
     if texture is not surface.texture:
         surface = replace(surface, texture=np.ascontiguousarray(texture))
@@ -385,6 +396,7 @@ def _covered(spots: Floats, x: Floats, y: Floats, step_mm: float) -> Floats:
         rows = np.flatnonzero(np.abs(y - at_y) <= radius + step_mm)
         if not (columns.size and rows.size):
             continue
+        # rows and columns near the spot alone
         here = np.ix_(rows, columns)
         away = np.hypot(x[columns] - at_x, (y[rows] - at_y)[:, None]) - radius
         covered[here] = np.maximum(covered[here], np.clip(0.5 - away / step_mm, 0.0, 1.0))
@@ -413,6 +425,7 @@ def project_albedo_map(
     laser, plain = np.ones(xx.shape), np.ones(xx.shape)
     # beside the footprints first, so that no product's surroundings lie on its neighbour
     tops = [one.solid.heights_mm(xx, yy)[0] for one in products]
+    # beside first, then on: a product's own picture is never overwritten by a neighbour's
     for on_it in (False, True):
         for one, top in zip(products, tops, strict=True):
             at_x, at_y = _in_picture(one, xx, yy)
@@ -420,6 +433,7 @@ def project_albedo_map(
             for layer, channel in ((laser, _laser_channel(grey, wavelength_nm)), (plain, _plain(grey))):
                 layer[inside] = _interpolated(channel, at_x[inside], at_y[inside])
     matrix = np.zeros((2, 4))
+    # (x, y, z, 1) to column and row
     matrix[0, 0], matrix[1, 1] = 1.0 / pitch_mm, 1.0 / pitch_mm
     matrix[:, 3] = -x[0] / pitch_mm, -y[0] / pitch_mm
     return laser, plain, matrix
@@ -442,6 +456,7 @@ def _in_picture(one: Drawn, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     c, s = np.cos(turn), np.sin(turn)
     x_min, x_max, y_min, y_max = one.solid.footprint_extent_mm()
     there = np.meshgrid(np.arange(x_min, x_max, _EXTENT_STEP_MM), np.arange(y_min, y_max, _EXTENT_STEP_MM))
+    # extent along the product's own axes: of the footprint, not of its turned box
     on_it = np.isfinite(one.solid.heights_mm(*there)[0])
     along = (c * there[0] + s * there[1])[on_it]
     across = (c * there[1] - s * there[0])[on_it]

@@ -1,4 +1,14 @@
-"""Solids on the belt: height fields with their truth, packed for the ray caster."""
+"""Solids on the belt: height fields with their truth, packed for the ray caster.
+
+Model. A gridded body lies between two surfaces about a mid-surface: z = mid(x, y) ± √u(x, y), with u_top
+above and u_bottom below, all three bilinear between the nodes of a square grid. The squares u fall linearly
+through 0 at the outline, so the rim is round as an ellipse's, and its place is exact between nodes. Volumes
+and footprint are integrals of that very body: in closed form along X, where √u of a linear u has one, and by
+four Gauss points along Y in each cell.
+
+Assumed: over each place of the belt the body is one piece, from a bottom to a top. Overhangs, holes and exact
+edges are for `ExactBody` (parts and meshes).
+"""
 
 from __future__ import annotations
 
@@ -67,6 +77,7 @@ def exact_body(surfaces: Floats, extent_mm: tuple[float, float, float, float], t
     """Return the kernels' form of surfaces (F, 11), read-only, over a footprint's extent."""
     x_min, x_max, y_min, y_max = extent_mm
     bounds = np.array([[x_min, y_min, 0.0, x_max, y_max, top_mm]])
+    # against rounding of rays that graze a side
     bounds += np.array([-1e-6, -1e-6, -1e-6, 1e-6, 1e-6, 1e-6])
     bounds.flags.writeable = False
     return ExactBody(PARTS, tuple(bounds[0].tolist()), float(top_mm), surfaces=surfaces, boxes=bounds)
@@ -77,11 +88,13 @@ def between_sides(box: Any, o: Floats, d: Floats, t_max: float) -> tuple[float, 
     """Give where a ray enters and leaves a box (as `Body.reach`), within 0 and t_max; (1, -1): nowhere."""
     near, far = 0.0, t_max
     for k in range(3):
+        # level along this axis: inside the two sides or never
         if d[k] == 0.0:
             if o[k] < box[k] or o[k] > box[k + 3]:
                 return 1.0, -1.0
             continue
         one, two = (box[k] - o[k]) / d[k], (box[k + 3] - o[k]) / d[k]
+        # within all pairs of sides at once
         near, far = max(near, min(one, two)), min(far, max(one, two))
     return near, far
 
@@ -270,6 +283,7 @@ class GriddedSolid:
         """Return the kernels' form."""
         mid, u = self.grid[..., 0], self.grid[..., 1:]
         inside = self.grid[..., 1] > 0.0
+        # highest point of the mid-surface plus the root of the upper square
         top = float((mid + np.sqrt(np.maximum(u[..., 0], 0.0)))[inside].max()) if inside.any() else 0.0
         place = float(self.x0_mm), float(self.y0_mm), float(self.step_mm)
         slopes = _steepest(mid[..., None], self.step_mm), _steepest(u, self.step_mm)
@@ -306,6 +320,7 @@ class GriddedSolid:
 
 def _steepest(layers: Floats, step_mm: float) -> float:
     """Return a bound of the gradient's length of bilinear layers (rows, columns, k)."""
+    # bilinear: the largest difference along each axis bounds the gradient
     along_x = np.abs(np.diff(layers, axis=1)).max()
     along_y = np.abs(np.diff(layers, axis=0)).max()
     return float(np.hypot(along_x, along_y) / step_mm)
@@ -344,11 +359,14 @@ def _integrals(grid: Floats, step_mm: float) -> tuple[float, float, float]:
                 continue
             for k in range(4):
                 b, weight = nodes[k], weights[k]
+                # the cell's left and right edge at the Gauss point
                 left = grid[j, i] * (1.0 - b) + grid[j + 1, i] * b
                 right = grid[j, i + 1] * (1.0 - b) + grid[j + 1, i + 1] * b
                 above, length, first = _root_integral(left[1], right[1])
                 below, _, _ = _root_integral(left[2], right[2])
+                # mid integrated over the part of the cell that is inside, plus the root
                 visible += weight * (above + left[0] * length + (right[0] - left[0]) * first)
+                # the closed body lies between both roots about the same mid
                 closed += weight * (above + below)
                 area += weight * length
     cell = step_mm * step_mm

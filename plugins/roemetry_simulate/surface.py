@@ -1,4 +1,10 @@
-"""How bright belt and product are: slowly varying albedo maps over the belt."""
+"""How bright belt and product are: slowly varying albedo maps over the belt.
+
+Model. Albedo at a place is the mean of its material times a map over X and Y, about 1: blotches of some
+millimetres and a finer grain, both white noise through a Gaussian filter, clipped to 0.5 to 1.5. Maps are
+looked up by X and Y alone, so a product's texture is projected from above. Gloss is a share of mirror-like
+light, light below the surface a share that comes back from a mean depth, wider (`roemetry_simulate.render`).
+"""
 
 from __future__ import annotations
 
@@ -81,6 +87,7 @@ def textured(
     half_columns, half_rows = math.ceil(half_x_mm / step_mm), math.ceil(half_y_mm / step_mm)
     shape = (2 * half_rows + 1, 2 * half_columns + 1)
     rng = np.random.default_rng([seed, 11])
+    # blotches and grain: sums of two scales, with weights whose squares add to about 1
     belt = 0.6 * smooth_noise(rng, shape, 9.0 / step_mm) + 0.8 * smooth_noise(rng, shape, 0.8 / step_mm)
     product = 0.9 * smooth_noise(rng, shape, 3.5 / step_mm) + 0.45 * smooth_noise(rng, shape, 0.9 / step_mm)
     layers = np.stack([1.0 + belt_std * belt, 1.0 + product_std * product], axis=-1)
@@ -93,6 +100,7 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma_nodes: 
     """Return Gaussian-filtered white noise of mean 0 and deviation 1; the filter's deviation is in nodes."""
     from scipy.ndimage import gaussian_filter
 
+    # wider than the filter, so that the cut-out has no seam
     pad = int(np.ceil(3 * sigma_nodes))
     white = rng.standard_normal((shape[0] + 2 * pad, shape[1] + 2 * pad))
     smooth = gaussian_filter(white, sigma_nodes, mode="wrap")[pad : pad + shape[0], pad : pad + shape[1]]

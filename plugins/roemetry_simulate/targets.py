@@ -1,4 +1,10 @@
-"""Calibration targets in the scene: block, staircase, boards in their poses."""
+"""Calibration targets in the scene: block, staircase, boards in their poses.
+
+Targets are rendered as products are, but with an even, matt surface. A board is a flat box with its print as
+a picture on the upper face. Its poses are drawn from the set's seed: the first one level, the others tilted
+in directions spread evenly round, by half of the largest tilt or more, and lifted clear of the
+belt. The truth of a set is the rig and each target's place, in the belt frame.
+"""
 
 from __future__ import annotations
 
@@ -85,6 +91,7 @@ def take_target(scene: RayCasterOptions, rig: Rig, seed: int, kind: str, name: s
     if kind in BOARDS:
         pose = name.rsplit("_", 1)[0]
         number = 0 if pose == ON_BELT else int(pose.split("_")[1])
+        # each image of the set has a noise of its own
         noise_seed = seed + 10 + 2 * number + int(plain)
         surface = _printed(scene, kind, board_poses(scene.targets.board, seed)[pose], seed)
     else:
@@ -120,6 +127,7 @@ def target_solid(scene: RayCasterOptions, kind: str, pose: str, seed: int) -> So
 def _printed(scene: RayCasterOptions, kind: str, pose: Floats, seed: int) -> Surface:
     """A board's print on its plate, even but for it."""
     matt, part = _matt(scene, seed), scene.targets.board
+    # ink gives back some light, paper all
     printed = _BLACK + (1.0 - _BLACK) * part.print_picture(kind, _PX_PER_SQUARE)
     even = np.stack([matt.texture[..., 0], np.ones(matt.texture.shape[:2])], axis=-1)
     return replace(matt, texture=even, picture=(printed, printed, picture_from(part, pose)))
@@ -128,6 +136,7 @@ def _printed(scene: RayCasterOptions, kind: str, pose: Floats, seed: int) -> Sur
 def _matt(scene: RayCasterOptions, seed: int) -> Surface:
     """Belt as it is, target matt and even."""
     surface = surface_of(scene, seed)
+    # a target is more even than belt and product: a third of their texture
     texture = 1.0 + 0.35 * (surface.texture - 1.0)
     laser, plain = (surface.laser_albedo[0], 0.60), (surface.plain_albedo[0], 0.62)
     return replace(
@@ -148,11 +157,15 @@ def board_poses(part: BoardPart, seed: int) -> dict[str, Floats]:
     half = 0.5 * part.square_mm * np.array([part.columns + 1.0, part.rows + 1.0])
     found = {}
     for number in range(part.poses):
+        # six draws for every pose, used or not: the same seed gives the same poses
         share, turn, jitter, along_x, along_y, up = rng.uniform(-1.0, 1.0, 6)
         tilt_deg = 0.0 if number == 0 else part.tilt_max_deg * (0.75 + 0.25 * share)
+        # tilted all ways round, a little off even steps
         way = 2.0 * np.pi * (number + 0.3 * jitter) / max(part.poses - 1, 1)
+        # board z looks away from the camera, which is down
         rotation = _turned(tilt_deg, way) @ _about_z(8.0 * turn) @ np.diag([1.0, -1.0, -1.0])
         low, high = part.height_mm
+        # so high that its lowest corner clears the belt
         lift_mm = float(np.abs(rotation[2, :2]) @ half) + part.thickness_mm + 0.5
         middle = np.array([4.0 * along_x, 4.0 * along_y, lift_mm + low + 0.5 * (up + 1.0) * (high - low)])
         pose = np.eye(4)
@@ -160,6 +173,7 @@ def board_poses(part: BoardPart, seed: int) -> dict[str, Floats]:
         pose[:3, 3] = middle - rotation[:, :2] @ (0.5 * size)
         found[f"pose_{number + 1:02d}"] = pose
     flat = np.diag([1.0, -1.0, -1.0, 1.0])
+    # flat: its middle over the origin
     flat[:3, 3] = -0.5 * size[0], 0.5 * size[1], part.thickness_mm
     return found | {ON_BELT: flat}
 
@@ -169,6 +183,7 @@ def picture_from(part: BoardPart, pose: Floats) -> Floats:
     to_board = np.linalg.inv(pose)
     scale = _PX_PER_SQUARE / part.square_mm
     matrix: Floats = np.array(scale * to_board[:2], dtype=np.float64)
+    # rows and columns of the print count from the middle of its first pixel; half a square is its margin
     matrix[:, 3] += 0.5 * _PX_PER_SQUARE - 0.5
     return np.ascontiguousarray(matrix)
 
@@ -177,6 +192,7 @@ def board_solid(part: BoardPart, pose: Floats) -> PartsSolid:
     """Return the plate that carries the print on its upper face."""
     x, y, down = pose[:3, 0], pose[:3, 1], pose[:3, 2]
     edge = 0.5 * part.square_mm
+    # six planes: both ends along x and y, upper face and back
     limits = [
         (-x, edge), (x, part.columns * part.square_mm + edge), (-y, edge),
         (y, part.rows * part.square_mm + edge), (-down, 0.0), (down, part.thickness_mm),
@@ -193,6 +209,7 @@ def board_solid(part: BoardPart, pose: Floats) -> PartsSolid:
         for w in (0.0, part.thickness_mm)
     ]
     low, high = np.min(ends, axis=0), np.max(ends, axis=0)
+    # exact, since a board is a box
     volume = (part.columns + 1) * (part.rows + 1) * part.square_mm**2 * part.thickness_mm
     extent = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
     return PartsSolid(np.array(surfaces), np.nan, volume, np.nan, extent, float(high[2]))

@@ -129,6 +129,7 @@ class _EndBrackets(NamedTuple):
         astray = quantile_of(off, 1.0 - _TENTH)
         if astray > _STRAY_PX or self.of_grid:  # more of them than glare and mistaken labels make
             outside = max(outside, astray)
+        # the tenth that reaches farthest still lies so far inside
         short = quantile_of(inside_by(self.ring, self.ends), _TENTH)
         over = -math.inf
         if len(self.beyond) >= _LEAST_ENDS:
@@ -149,6 +150,7 @@ class _EndBrackets(NamedTuple):
         """Say how far nine in ten ends and belt points contradict the best shifted edge at most."""
 
         def left_px(shift_px: Floats) -> float:
+            # shifting the image one way is shifting the ends the other way
             outside = -inside_by(self.free, self.ends - shift_px)
             inside = inside_by(self.free, self.beyond - shift_px) if len(self.beyond) else outside
             return max(float(quantile_of(which, 1.0 - _TENTH)) for which in (outside, inside))
@@ -175,6 +177,7 @@ class DotBrackets(NamedTuple):
         """
         off = inside_by(self.free, self.on), -inside_by(self.ring, self.beside)
         on_px, beside_px = (float(np.partition(side, 1)[1]) for side in off)
+        # dots within a spacing of the outline are its border
         border = 0.5 * sum(np.count_nonzero(np.abs(side) < self.spacing_px) for side in off)
         apart = 0.5 * (on_px - beside_px)
         chance = _BY_CHANCE * self.spacing_px / max(border, 1.0)
@@ -295,6 +298,7 @@ def _best_shifted(left_px: Callable[[Floats], float]) -> float:
     """Give the least that a shift of the image leaves of a contradiction, px beyond what ends are sure to."""
     from scipy.optimize import minimize
 
+    # on a coarse grid first: the function has steps, and more than one minimum
     steps = np.arange(-_SHIFT_MAX_PX, _SHIFT_MAX_PX + 1.0, _SHIFT_STEP_PX)
     coarse = min(((x, y) for x in steps for y in steps), key=lambda at: left_px(np.array(at)))
     found = minimize(left_px, np.array(coarse), method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.01})
@@ -311,6 +315,7 @@ def _ends_of(
     across = stripes.across
     if across is not None:
         turned = ends_of_stripes(across.x_px, across.seen, across.product, number, LEAST_ROWS)
+        # rows of the turned image are columns of this one, counted from the right
         last = across.rows - 1
         ends, beyond = (
             np.concatenate([mine, np.column_stack([last - other[:, 1], other[:, 0]])])
@@ -355,6 +360,7 @@ def ends_of_stripes(
     for s in range(stripes):
         first, last, run = -1, -1, 0
         for row in range(rows):
+            # the first and the last row of runs that are long enough
             run = run + 1 if seen[s, row] and product[s, row] == number else 0
             if run >= least_rows:
                 first, last = row - run + 1 if first < 0 else first, row
@@ -363,6 +369,7 @@ def ends_of_stripes(
         for row, step in ((first, -1), (last, 1)):
             ends[many, 0], ends[many, 1] = x_px[s, row], row
             many += 1
+            # on along the stripe to where the belt is seen next
             on = row + step
             while 0 <= on < rows and not (seen[s, on] and product[s, on] == 0):
                 on += step

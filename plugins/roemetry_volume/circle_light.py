@@ -99,6 +99,7 @@ class CircleLight(NamedTuple):
         """
         outside = -inside_by(contour, self.product - shift_px)
         inside = inside_by(contour, self.belt - shift_px)
+        # ridges that come in from outside; others are the product's light on a circle of the belt
         comes_in = np.bincount(self.belt_ridge[inside < 0.0], minlength=1) >= _OUTSIDE_MIN_PX
         ridge = np.minimum(self.belt_ridge, comes_in.size - 1)
         inside = inside[comes_in[ridge] & (ridge == self.belt_ridge)]

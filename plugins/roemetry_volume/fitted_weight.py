@@ -126,6 +126,7 @@ class FittedWeight(Weigher[FittedWeightOptions]):
         visible = features[VISIBLE]
         value, std = visible * ratio, visible * math.hypot(of_fit, scatter)
         if rng is not None:
+            # Student's t of standard deviation 1, times the uncertainty
             drawn = rng.standard_t(model.degrees_of_freedom) / model.student_std
             return Weight(Estimate(value + std * drawn), reasons, features)
         if value < 0.0:
@@ -134,6 +135,7 @@ class FittedWeight(Weigher[FittedWeightOptions]):
             return Weight(Estimate(value), reasons, features)
         from scipy.stats import t
 
+        # `std` is the standard deviation of Student's t; the quantile is of its scale
         half = std / model.student_std * float(t.ppf(0.975, model.degrees_of_freedom))
         budget = {"samples' scatter": visible * scatter, "fit": visible * of_fit}
         return Weight(Estimate(value, std, budget, (value - half, value + half)), reasons, features)
@@ -273,6 +275,7 @@ def _by_ends(points: StripePoints) -> dict[str, float]:
         if stop - begin < _POINTS_MIN:
             continue
         x, y, z = points.xyz_mm[begin:stop].T
+        # in the order of Y, for the trapezoid rule
         order = np.argsort(y, kind="stable")
         y, z = y[order], z[order]
         places.append(float(np.median(x)))
@@ -282,7 +285,9 @@ def _by_ends(points: StripePoints) -> dict[str, float]:
     if len(places) < _SLICES_MIN or not (area > 0.0 and width > 0.0):
         return {}
     at = np.array(places)
+    # from −1 to 1 along the product
     at = (at - 0.5 * (at.min() + at.max())) / max(0.5 * float(np.ptp(at)), 1e-9)
+    # the parabola's value at the middle
     level = np.polyfit(np.concatenate([at, at]), np.array(ends).T.ravel(), 2)[2]
     return {"end_share": float(level / (area / width))}
 
@@ -299,6 +304,7 @@ def _by_rim(product: Product, points: StripePoints, volume: Volume) -> dict[str,
     place = (points.xyz_mm[:, :2] - centre) @ turn
     contour = (xy - centre) @ turn
     rim = rim_of(points, ends, place, inside_by(contour, place[ends[0]]))
+    # mean height over the footprint
     mean_mm = volume.visible_mm3.value / abs(area_of(contour))
     return {
         "rim_share": float(rim.coefficients[0] / mean_mm),
@@ -437,11 +443,14 @@ def _fitted(table: _Table, form: str, which: Floats | None = None, chosen_of: in
     count = len(ratio)
     centre = values.mean(axis=0)
     spread = values.std(axis=0, ddof=1)
+    # a feature that never varies is left as it is
     spread = np.where(spread > 0.0, spread, 1.0)
     rows = np.column_stack([np.ones(count), (values - centre) / spread])
+    # the mean is not shrunk
     penalty = np.diag([0.0] + [PRIOR] * values.shape[1])
     inverse = np.linalg.inv(rows.T @ rows + penalty)
     coefficients = inverse @ rows.T @ ratio
+    # the trace counts coefficients, less what the ridge holds back
     free = count - float(np.trace(rows @ inverse @ rows.T)) - float(chosen_of > 1)
     variance = float(((ratio - rows @ coefficients) ** 2).sum()) / free
     limits = {name: table.columns[name][use] for name in (VISIBLE, *FORMS[form])}
@@ -463,11 +472,13 @@ def _held_out(table: _Table, form: str) -> _Errors:
     from scipy.stats import t
 
     numbers = np.unique(table.group)
+    # groups are dealt out to the folds in turn
     fold_of = dict(zip(numbers.tolist(), (np.arange(numbers.size) % _FOLDS_MAX).tolist(), strict=True))
     fold = np.array([fold_of[number] for number in table.group.tolist()])
     relative, held, width = (np.full(fold.size, np.nan) for _ in range(3))
     for number in np.unique(fold):
         asked = fold == number
+        # too few are left to fit
         if (~asked).sum() < len(FORMS[form]) + 4:
             continue
         model = _fitted(table, form, ~asked)
@@ -488,6 +499,7 @@ def _best(tried: Mapping[str, _Errors]) -> str:
     for name, errors in tried.items():
         if not errors.relative.size:
             continue
+        # from the plainest on, as `FORMS` has them
         if not chosen or errors.rms < _SIMPLER * tried[chosen].rms:
             chosen = name
     return chosen or next(iter(tried))
@@ -552,6 +564,7 @@ def check_masses(ids: Sequence[str], masses_g: Floats, visible_cm3: Floats) -> N
             f"the masses are {usual:.3g} times the visible volumes in cm³ (median): these are not grams",
             hint=f"{maybe}`mass_g` is in grams; also look at the calibration's scale",
         )
+    # some masses in another unit than the others
     odd = np.abs(np.log(density / usual))
     for name, grams in UNITS_G.items():
         like = (odd > np.log(3.0)) & (np.abs(np.log(density * grams / usual)) < _SAME_UNIT)
@@ -582,6 +595,7 @@ def _check_trend(masses_g: Floats, visible_cm3: Floats) -> None:
 
 
 def _scatter(values: Floats) -> float:
+    # 1.4826 makes it the standard deviation of normal values
     return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 

@@ -4,6 +4,9 @@ The outline is a perspective silhouette: each of its points lies on a ray that t
 line, the rim, so its place on the belt depends on the rim's height there and, where the camera looks from
 inside outwards, on how the dome falls to the rim (`border_at`). Over the inside of that border volumes are
 integrated by Gauss's rule (`nodes_within`).
+
+It assumes that one line on the product, the rim, makes the outline. It fails where an overhang or a corner
+makes it instead: the border is then off by how much higher that lies, times the tilt of sight.
 """
 
 from __future__ import annotations
@@ -55,11 +58,14 @@ def placed_border(
     n = height_mm.size
     xy, tilt = np.empty((n, 2)), np.empty(n)
     for k in range(n):
+        # where the line of sight is as high as the rim
         along = (height_mm[k] - start[k, 2]) / way[k, 2]
         xy[k, 0], xy[k, 1] = start[k, 0] + along * way[k, 0], start[k, 1] + along * way[k, 1]
     outward = normals_of(xy, 2)
     for k in range(n):
+        # outwards for each millimetre downwards
         tilt[k] = (way[k, 0] * outward[k, 0] + way[k, 1] * outward[k, 1]) / -way[k, 2]
+        # α t²/4 with the sign of t, and α t/4 beyond 45°
         inwards = 0.25 * fall_mm[k] * tilt[k] * min(max(abs(tilt[k]), 0.0), 1.0)
         xy[k, 0] -= inwards * outward[k, 0]
         xy[k, 1] -= inwards * outward[k, 1]
@@ -113,6 +119,7 @@ def normals_of(ring: Floats, reach: int) -> Floats:
         along_x, along_y = ring[ahead, 0] - ring[before, 0], ring[ahead, 1] - ring[before, 1]
         length = math.sqrt(along_x * along_x + along_y * along_y)
         long = sign / (length if length > 0.0 else 1.0)
+        # a quarter turn outwards, whichever way the ring runs
         normal[k, 0], normal[k, 1] = along_y * long, -along_x * long
     return normal
 
@@ -148,6 +155,7 @@ def nodes_within(
     quarter = 0.5 * math.pi
     for a in range(count):
         at = 0.5 * (low + high) + 0.5 * (high - low) * math.sin(quarter * nodes_s[a])
+        # with the derivative of the substitution
         width = 0.5 * (high - low) * math.cos(quarter * nodes_s[a]) * quarter * weights_s[a]
         found = 0
         for k in range(n):
@@ -162,6 +170,7 @@ def nodes_within(
                 crossings[m] = crossings[m - 1]
                 m -= 1
             crossings[m] = late
+        # inside lies between the first and the second crossing, the third and the fourth, and so on
         for pair in range(0, found - 1, 2):
             middle = 0.5 * (crossings[pair] + crossings[pair + 1])
             half = 0.5 * (crossings[pair + 1] - crossings[pair])
@@ -191,6 +200,7 @@ def inside_by(contour: Floats, places: Floats) -> Floats:
             along = min(max((right * dx + up * dy) * share, 0.0), 1.0)
             right_of, above = right - along * dx, up - along * dy
             best[p] = min(best[p], right_of * right_of + above * above)
+            # from inside, the way to the right crosses the border an odd number of times
             crossed[p] += ((ay <= y[p]) != (by <= y[p])) & (right < up * run)
     for p in range(count):
         distance = math.sqrt(best[p])

@@ -131,6 +131,7 @@ def laid_over(
             "belongs to another frame; look at both, and take them again",
         )
         return Overlay(plain, math.inf, fault=fault)
+    # at the border, half of the longer side from the middle
     half_px = 0.5 * max(plain.size)
     std_px = float(np.sqrt(np.diag(found.covariance)[[0, 1]].max() + half_px**2 * found.covariance[3, 3]))
     if not found.significant(_MOVED_SIGMAS):
@@ -187,6 +188,7 @@ def image_motion(
     bright = _halved(log_plain)
     finest = _Level.of(weighted, share, bright)
     still = np.zeros(4)
+    # one step first: most often nothing has moved
     found = _fitted(finest, still, 2.0, rounds=1)
     if found is not None and found.missed is None and not found.significant(_STILL_SIGMAS):
         return found
@@ -198,6 +200,7 @@ def image_motion(
     for level in range(_LEVELS, 0, -1):
         texture, every = textures[level - 1], 2.0**level
         reach = np.abs(motion) @ [1.0, 1.0, *[0.5 * max(laser.shape)] * 2]
+        # a motion beyond this level's reach may be wrong: none at all is tried, too
         starts = [still, motion] if reach > every / 2.0 else [still]
         if found is None:
             starts += [np.array([0.0, 0.0, 0.0, growth]) for growth in _GROWTHS]
@@ -224,14 +227,17 @@ def _likeliest_shift(level: _Level) -> Floats | None:
 
     dim = np.zeros(level.dim.size, np.float32)
     dim.ravel()[level.dim.place] = level.dim.value
+    # the correlation at all shifts at once, by Fourier's transform
     likeness = irfft2(rfft2(level.bright[0]) * np.conj(rfft2(dim)), dim.shape)
     reach = [min(_SHIFT_MAX, size // 2 - 1) for size in dim.shape]
+    # shifts from −reach to reach, with none in the middle
     near = np.roll(likeness, reach, axis=(0, 1))[: 2 * reach[0] + 1, : 2 * reach[1] + 1].copy()
     down, across = (int(k) for k in np.unravel_index(int(near.argmax()), near.shape))
     best = near[down, across]
     near[max(down - _GRAIN, 0) : down + _GRAIN + 1, max(across - _GRAIN, 0) : across + _GRAIN + 1] = 0.0
     if near.max() > _SECOND_MAX * best:
         return None
+    # the finest level is half as large as the image
     return np.array([2.0 * (across - reach[1]), 2.0 * (down - reach[0]), 0.0, 0.0])
 
 
@@ -282,6 +288,7 @@ def halved_where(laser: NDArray[Any], free: Flags) -> tuple[Singles, Singles]:
 def _beside_stripes(laser: NDArray[Any], *, grid: bool) -> Flags:
     import cv2
 
+    # an opening takes off what is narrower than itself, along the rows
     opened = cv2.morphologyEx(laser, cv2.MORPH_OPEN, np.ones((1, _STRIPE_PX), np.uint8))
     if grid:
         opened = cv2.min(opened, cv2.morphologyEx(laser, cv2.MORPH_OPEN, np.ones((_STRIPE_PX, 1), np.uint8)))
@@ -454,6 +461,7 @@ def _fitted(level: _Level, motion: Floats, every: float, rounds: int = _ROUNDS) 
     found = _parts(level, motion, every) if alike else None
     if found is None:
         return None
+    # neighbouring places share their noise, so fewer tell
     return found._replace(covariance=np.asarray(_ALIKE * std**2 * np.linalg.inv(normal), np.float64))
 
 
@@ -495,15 +503,18 @@ def followed(
         for k in range(place.size):
             squares += found[0, k] * found[0, k]
             products += found[0, k] * value[k]
+        # least squares of value = gain × texture
         gain = products / max(squares, 1e-12)
         if gain <= 0.0:
             return False, motion, normal, std
+        # Sobel's slopes are eight times as steep
         if turn < _SLOPES_ROUNDS:
             slope_gain = gain / 8.0
         normal, step, std = _step_sums(found, value, gain, slope_gain, x, y, every)
         factor, most = normal.copy(), max(normal[0, 0], normal[1, 1], normal[2, 2], normal[3, 3])
         solve(factor, step)
         for n in range(4):
+            # pivots of the factors, squared
             if not factor[n, n] * factor[n, n] > _SINGULAR * most:
                 return False, motion, normal, std
         motion += step
@@ -538,8 +549,10 @@ def _step_sums(
     xx = xy = yy = xt = yt = tt = xg = yg = tg = gg = of_x = of_y = of_turn = of_growth = 0.0
     for k in range(x.size):
         left = value[k] - gain * texture[k]
+        # Huber's weights
         weight = min(1.0, _ODD * std / max(abs(left), 1e-9))
         right_way, down_way = slope_gain * along[k], slope_gain * down[k]
+        # derivatives by turn and growth about the middle
         turn, growth = down_way * x[k] - right_way * y[k], right_way * x[k] + down_way * y[k]
         across, below = right_way / every, down_way / every
         xx += weight * across * across
@@ -582,6 +595,7 @@ def _parts(level: _Level, motion: Floats, every: float) -> ImageMotion | None:
     """
     one, (rows, columns) = _compared(level, motion, every), level.dim.size
     count, both, of_a, of_b = part_sums(one, level.dim.place, rows, columns)
+    # a correlation of n places of noise scatters by 1/√n
     scale = np.sqrt(count / _ALIKE) / np.sqrt(np.maximum(of_a * of_b, 1e-12))
     alike = both * scale > _CLEAR
     whole = both.sum() / np.sqrt(max(of_a.sum() * of_b.sum(), 1e-12)) * math.sqrt(count.sum() / _ALIKE)

@@ -65,6 +65,7 @@ def features_of(xy_px: Floats, pixels: NDArray[Any], redrawn: Sequence[Floats] =
     cv2.fillPoly(mask, [(corners - (left, top)).reshape(-1, 1, 2)], 1)
     inside = box[mask.astype(np.bool_)].astype(np.float64)
     if inside.size:
+        # mean over the colours
         grey = inside @ np.full(inside.shape[1], 1.0 / inside.shape[1]) if inside.ndim == 2 else inside
         found |= {"grey_mean": float(grey.mean()), "grey_std": float(grey.std())}
         if inside.ndim == 2:
@@ -80,6 +81,7 @@ def _convexity(xy_px: Floats, redrawn: Sequence[Floats]) -> dict[str, float]:
     if not redrawn:
         return {"convexity": seen}
     again = np.array([_of_hull(xy) for xy in redrawn])
+    # the same noise once more takes about as much again
     taken = max(seen - float(again.mean()), 0.0)
     std = math.hypot(_BIAS_UNSURE * taken, float(again.std()))
     return {"convexity": min(seen + taken, 1.0), "convexity_std": std}
@@ -95,6 +97,7 @@ def _of_hull(xy_px: Floats) -> float:
 def _along(xy: Floats) -> tuple[Floats, Floats]:
     """Places along and across the long axis."""
     off = xy - xy.mean(axis=0)
+    # the long axis is that of the largest variance
     _, axes = np.linalg.eigh(np.cov(off.T))
     return off @ axes[:, 1], off @ axes[:, 0]
 
@@ -124,6 +127,7 @@ def _bending(middle: Floats) -> dict[str, float]:
         return {"bending_deg": float("nan"), "sagitta_share": float("nan")}
     s, v = middle.T
     half = 0.5 * float(np.ptp(s))
+    # both in half lengths, so that slopes stay slopes
     x = (s - s.mean()) / half
     slope = np.polynomial.polynomial.polyder(np.polynomial.polynomial.polyfit(x, v / half, 3))
     at_ends = np.polynomial.polynomial.polyval(np.array([x[0], x[-1]]), slope)

@@ -1,4 +1,14 @@
-"""Visible volume from stripes and outline together: the default where a plain-light image exists."""
+"""Visible volume from stripes and outline together: the default where a plain-light image exists.
+
+Model. A thin plate through the slices' points that meets the rim where the outline shows it
+(`roemetry_volume.surface_fit`) is integrated over the footprint (`roemetry_volume.footprint`). What is
+uncertain is told by what changes the volume: leaving out single slices, a stiffer plate, a border that lies
+farther out, a rim that lies higher.
+
+Assumed: between slices the product is as smooth as its slices show, and its footprint is what the outline
+encloses. It fails where there is no outline, or one that contradicts the stripes, and at holes: the volume is
+then that of the slices alone, and a reason says so.
+"""
 
 from __future__ import annotations
 
@@ -174,6 +184,7 @@ def _steps_std(slices: Slices, volume_mm3: float) -> float:
 
     if slices.t_mm.size < _STEPS_LEAST + 2:
         return 0.0
+    # the outer slices fall at any rate: the inner ones alone tell of steps
     uneven: float = unevenness(slices.t_mm[1:-1], slices.area_mm2[1:-1])
     return _STEPS * max(uneven - _SMOOTH * volume_mm3, 0.0)
 
@@ -188,6 +199,7 @@ def _drawn(fused: FittedSurface, slices: Slices, product: Product) -> Surface:
     """Lay a grid over the footprint, closer towards its border, where the surface is steepest."""
     from roemetry_volume.footprint import inside_by
 
+    # closer together at both ends, as sines are
     along, across = (np.sin(np.linspace(-0.5 * math.pi, 0.5 * math.pi, count)) for count in _DRAWN)
     low, high = fused.contour[:, 0].min(), fused.contour[:, 0].max()
     s = 0.5 * (low + high) + 0.4999 * (high - low) * along
@@ -209,6 +221,7 @@ def _drawn(fused: FittedSurface, slices: Slices, product: Product) -> Surface:
 def _crossings(contour: Floats, s: float) -> tuple[float, float]:
     """Give the outermost places where a line across the product meets its border."""
     ahead = np.roll(contour, -1, axis=0)
+    # pieces of the border that cross s
     cut = (contour[:, 0] <= s) != (ahead[:, 0] <= s)
     one, other = contour[cut], ahead[cut]
     v = one[:, 1] + (s - one[:, 0]) / (other[:, 0] - one[:, 0]) * (other[:, 1] - one[:, 1])
@@ -237,6 +250,7 @@ def _beyond(fused: FittedSurface, slices: Slices, product: Product) -> Flags:
     y0 = 0.5 * float(fused.points.xyz_mm[:, 1].min() + fused.points.xyz_mm[:, 1].max())
     for end, sign in ((0, -1.0), (1, 1.0)):
         plane = planes[lit[end]]
+        # where a plane that leans as the outer slice's, through the node, cuts the belt
         at = xy[:, 0] + plane[1] / plane[0] * (xy[:, 1] - y0) - slope[lit[end]] * heights
         beyond |= sign * (at - t[-end]) > 0.0
     return beyond
@@ -301,8 +315,10 @@ def _stiffer(fused: FittedSurface) -> float:
 def _per_mm_outwards(fused: FittedSurface, outwards: Floats) -> float:
     """Change of volume when each point of the border moves outwards by so many times a millimetre, mm²."""
     steps = np.roll(fused.border.xy_mm, -1, axis=0) - fused.border.xy_mm
+    # a strip along the border, as high as the border
     edge = np.hypot(steps[:, 0], steps[:, 1]) * fused.height_mm * outwards
     rim = fused.contour[~fused.open_end]
+    # where the border was, the plate rises by what it falls within a millimetre
     inner = rim - (fused.border.outward @ _turn(fused))[~fused.open_end]
     fall = np.maximum(fused.plate.at(LONG_AXIS * inner[:, 0], inner[:, 1]), 0.0) * outwards[~fused.open_end]
     change = _rim_right(fused, rim[::2], _STEP_MM * fall[::2])
@@ -317,6 +333,7 @@ def _per_mm_of_rim(fused: FittedSurface) -> float:
     sees the wall, the border is the wall's foot and stays.
     """
     knots, upright = fused.knots, fused.rim.upright
+    # the plate holds squares of heights over an upright rim
     over = (np.sign(knots.u) * np.sqrt(np.abs(knots.u)) if upright else knots.u) - _STEP_MM
     fall = (over * np.abs(over) if upright else over) - knots.u
     change = np.zeros_like(fused.plate.right)
@@ -355,6 +372,7 @@ def _turn(fused: FittedSurface) -> Floats:
 def _mm_per_px(fused: FittedSurface, view: View) -> float:
     """Size of a pixel at the middle of the border."""
     middle = np.append(fused.border.xy_mm.mean(axis=0), float(np.mean(fused.height_mm)))
+    # a millimetre along X
     step = view.project(np.stack([middle, middle + np.array([1.0, 0.0, 0.0])]))
     return 1.0 / float(np.hypot(*(step[1] - step[0])))
 

@@ -1,4 +1,12 @@
-"""The quadric through a product's outer slices, and what lies beyond the outermost of them."""
+"""The quadric through a product's outer slices, and what lies beyond the outermost of them.
+
+Model. In three outer slices the heights follow (z − r)² = Q(x, y), Q of second degree, as those of
+ellipsoids, balls and caps do (`quadric_end`); what is below it beyond the outermost slice is the end.
+
+Assumed: the end is a part of the body that the three slices show. It fails where it is not: residuals, the
+outer slice's area or the size tell, nothing is given, and the slices' taper counts alone
+(`roemetry_volume.slice_rules`).
+"""
 
 from __future__ import annotations
 
@@ -85,6 +93,7 @@ def quadric_end(
         ends[k, 0], ends[k, 1], ends[k, 2] = mine[FIRST_ROW], mine[LAST_ROW], mine[COUNT]
     outer, area_mm2 = rows[0], table[three[0], AREA]
     nx, ny, nz, d = plane[outer, 0], plane[outer, 1], plane[outer, 2], plane[outer, 3]
+    # the Y of the outer slice's first point is the local frame's origin
     y_ref = np.nan
     for k in range(product.shape[1]):
         if product[outer, k] == number and seen[outer, k]:
@@ -99,11 +108,14 @@ def quadric_end(
     normal, right, tall = _normal_equations(means, count)
     c = _solved(normal, right)
     r = c[0]
+    # (z − r)² off by e is z off by e / 2 (z − r)
     residual_mm = _UNIT_MM * _misfit(means, count, c) / (2.0 * max(abs(tall - r), 0.01))
+    # closed along and across, with its rim below the points
     if not (c[4] < 0.0 and c[6] < 0.0 and r < tall and residual_mm < _OFF_MM):
         return nothing
     # Q in the local frame, where the plane of the outer slice is x = q·y + m·z
     q, m = -sign * ny / nx, -sign * nz / nx
+    # z² = 2 r z + Q′ is (z − r)² = Q′ + r²
     c[1] += r * r
     if _is_larger(c, table):
         return nothing
@@ -113,6 +125,7 @@ def quadric_end(
     far = _BEYOND * reach_mm / _UNIT_MM
     if _is_there(c, m, q, far):
         return nothing
+    # bisection for where the section vanishes
     low, high = 0.0, far
     for _ in range(24):
         middle = 0.5 * (low + high)
@@ -198,6 +211,7 @@ def _misfit(means: Floats, count: int, c: Floats) -> float:
         for a in range(_TERMS):
             off -= c[a] * means[k, a]
         square += means[k, _TERMS + 1] * off * off
+        # half of the squared difference of neighbours is noise
         if means[k, _TERMS + 2] == slice_before:
             noise += 0.5 * means[k, _TERMS + 1] * (off - before) ** 2
         before, slice_before = off, means[k, _TERMS + 2]
@@ -371,6 +385,7 @@ def shadow_of(c: Floats, m: float, q: float, fanning: float) -> float:
     half, root = math.sqrt(top / -u2), math.sqrt(k)
     total = 0.0
     for node in range(_LINES):
+        # nodes in the angle: both ends' roots are smooth in it
         turn = math.pi * ((node + 0.5) / _LINES - 0.5)
         s, y = math.sqrt(top) * math.cos(turn), middle + half * math.sin(turn)
         centre = 0.5 * (c[2] + c[5] * y) / k
@@ -393,6 +408,7 @@ def shadow_of(c: Floats, m: float, q: float, fanning: float) -> float:
             continue
         body = r * s / root * (foot_sine - along)
         body += 0.5 * s * s / root * (foot - graze + foot_sine * foot_cosine - along * up)
+        # of the triangle below the ray the product fills a part
         off = body - 0.5 * lean * (height * height - low * low)
         total += off * half * math.cos(turn) * math.pi / _LINES
     return total
@@ -443,10 +459,12 @@ def edges_missed(
         As said.
     """
     n = table.shape[0]
+    # how fast planes of light open along X
     opening = (lean[0] + lean[1]) / (table[n - 1, AT] - table[0, AT])
     points = np.empty((product.shape[1], 2))
     total = 0.0
     for k in range(n):
+        # slices of this end's half; of an odd number the middle one counts half
         mine = min(max(0.5 * n - (k if at_end == 0 else n - 1 - k), 0.0), 1.0)
         if not mine > 0.0:
             continue

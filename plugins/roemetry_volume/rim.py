@@ -1,4 +1,11 @@
-"""Height of the rim, where the surface turns vertical: from the ends of the stripes, along the product."""
+"""Height of the rim, where the surface turns vertical: from the ends of the stripes, along the product.
+
+Model. At each end of a slice (z − rim)² = α·d + β·d², d the distance inside the outline (`rim_heights`); the
+rim is a polynomial of low order along and across the product through all ends.
+
+Assumed: the outline is right to some tenths of a millimetre, and the rim has no steps. It fails with fewer
+than four ends: then it is taken to lie somewhat below the lowest points, and is that unsure.
+"""
 
 from __future__ import annotations
 
@@ -99,6 +106,7 @@ def ends_in_line(first: Integers, xyz_mm: Floats, across_mm: Floats) -> tuple[In
             if abs(xyz_mm[k, 1] - xyz_mm[begin, 1]) <= _LENGTH_MM:
                 index[count] = k
                 count += 1
+        # from the outermost point on, as long as it goes up a wall
         wall, rise = begins[end], 0.0
         while wall + 1 < count:
             up = xyz_mm[index[wall + 1], 2] - xyz_mm[index[wall], 2]
@@ -141,6 +149,7 @@ def fitted_rim(
     heights, spread, upright = rim_heights(inside_mm, z_mm, first, size, _HEIGHT_STD_MM)
     told = upright[np.isfinite(upright)]
     is_dome = not (told.size > 0 and median_of(told) < _UPRIGHT_LEAST)
+    # s and v within −1…1
     scale_s = max((place[:, 0].max() - place[:, 0].min()) / 2.0, 1.0)
     scale_v = max((place[:, 1].max() - place[:, 1].min()) / 2.0, 1.0)
     known = np.flatnonzero(np.isfinite(heights))
@@ -205,6 +214,7 @@ def rim_heights(
             continue
         z, d = z_mm[a : a + n], distance_mm[a : a + n]
         lowest = max(z.min(), 0.0)
+        # rims from the belt up to the lowest point
         for step in range(_STEPS):
             height[step] = lowest * step / (_STEPS - 1)
             misfit, share = _misfit(z, d, height[step])
@@ -219,6 +229,7 @@ def rim_heights(
             mean += likely * height[step]
             square += likely * height[step] ** 2
         rim[e] = mean / total
+        # half a step more, since rims are tried in steps
         spread[e] = np.sqrt(max(square / total - rim[e] ** 2, 0.0)) + 0.5 * lowest / (_STEPS - 1)
         upright[e] = straight[cost.argmin()]
     return rim, spread, upright
@@ -237,6 +248,7 @@ def _misfit(z: Floats, d: Floats, rim: float) -> tuple[float, float]:
         qq += w * x * x * x * x
         du += w * x * u
         qu += w * x * x * u
+    # normal equations of α and β; α not below 0
     determinant = dd * qq - dq * dq
     alpha, beta = (0.0, 0.0) if dd <= 0.0 else (max(du / dd, 0.0), 0.0)
     if determinant > 1e-12 * dd * qq:

@@ -1,4 +1,12 @@
-"""Visible volume from slices alone: areas in tilted planes, a cubic between them, caps at both ends."""
+"""Visible volume from slices alone: areas in tilted planes, a cubic between them, caps at both ends.
+
+Model. Of each slice the area is weighed so that its integral over where planes cut the belt is a volume
+(`roemetry_volume.slice_table`); between slices runs a cubic, beyond the outer ones a cap
+(`roemetry_volume.slice_rules`).
+
+Assumed: between slices and beyond them the product goes on as it came. It fails at steps between two slices,
+which the interval allows for as far as others show such, and where a side of the product is in the shadow.
+"""
 
 from __future__ import annotations
 
@@ -134,7 +142,9 @@ class SliceTrapezoid(SlicePchip):
 
 def _edges_std(slices: Slices) -> float:
     """Say what all slices may be too long or too short together, by `_EDGE_ROWS` at each end, mm³."""
+    # way from row to row along each slice
     row_mm = slices.width_mm / slices.table[:, COUNT]
+    # both ends together, at the root of their mean squared heights
     ends_mm = 2.0 * np.sqrt(slices.table[:, WALL])
     return _EDGE_ROWS * float((ends_mm * row_mm) @ slices.held_mm)
 
@@ -171,6 +181,7 @@ def _drawn(product: Product, slices: Slices, caps: list[Cap]) -> Surface:
     for k in range(1, len(lit)):
         dark = abs(int(slices.stripe[k] - slices.stripe[k - 1])) - 1
         for j in range(1, dark + 1):
+            # straight between the slices beside
             stations.append(lit[k - 1] + j / (dark + 1) * (lit[k] - lit[k - 1]))
             assumed.append(True)
         stations.append(lit[k])
@@ -179,10 +190,12 @@ def _drawn(product: Product, slices: Slices, caps: list[Cap]) -> Surface:
         if not (cap.length_mm > 0.0 and cap.volume_mm3 > 0.0):
             continue
         outer, at = lit[-end], float(slices.t_mm[-end])
+        # V = A L / (p + 1), solved for p
         power = max(float(slices.area_mm2[-end]) * cap.length_mm / cap.volume_mm3 - 1.0, 0.0)
         middle = np.array([at, 0.5 * (outer[0, 1] + outer[-1, 1]), 0.0])
         beyond = []
         for u in np.sin(np.linspace(0.0, 0.5 * math.pi, _BEYOND + 1)[1:]).tolist():
+            # areas go with the square of lengths
             moved = middle + (outer - middle) * (1.0 - u) ** (0.5 * power)
             moved[:, 0] += (1.0 if end else -1.0) * u * cap.length_mm
             beyond.append(moved)
@@ -338,6 +351,7 @@ def _common_std_mm(
                 continue
             if not (seen[i, k] and seen[i, k - 1] and seen[i, k + 1] and height_std_mm[i, k] > 0.0):
                 continue
+            # rows are missing between them
             if abs(row_px[i, k + 1] - row_px[i, k - 1]) > 2.5:
                 continue
             m += 1
@@ -347,5 +361,6 @@ def _common_std_mm(
                 count += 1
     if count < _POINTS_MIN:
         return 0.0
+    # second differences of white noise scatter by √6
     noise, usual = 1.4826 * median_of(second[:count]), median_of(stated[:count])
     return math.sqrt(_SHARED * max(usual * usual - noise * noise / 6.0, 0.0))

@@ -85,6 +85,7 @@ def cap_of(product: Product, slices: Slices, end: int) -> Cap:
         within,
         limited,
     )
+    # falls smoothly, and is a half at `_FITS_MM`
     trust = 1.0 / (1.0 + (off_mm / _FITS_MM) ** 10) if off_mm < 3.0 * _FITS_MM else 0.0
     if trust < _HARDLY:
         return found
@@ -112,6 +113,7 @@ def by_areas(slices: Slices, end: int, within: float) -> Cap:
     tapered = Cap(volume, length, slope, TAPERED, 0.0, (_TAPER_STD if limited else _OPEN_TAPER_STD) * volume)
     if trust > 0.0 and lean < 0.0 and not limited:
         tapered = _in_shadow(slices, end, within, tapered)
+    # an upright end: light that leans passes over its height
     wall_mm3 = _WALL_STD * abs(lean) * max(outer[TOP], 0.0) * area
     half = 0.5 * reach * area
     blunt = Cap(half, 0.5 * reach, math.nan, BLUNT, 0.0, math.hypot(_BLUNT_STD * half, wall_mm3))
@@ -156,6 +158,7 @@ def _mixed(one: Cap, other: Cap, trust: float) -> Cap:
         one.slope_mm if trust > 0.0 else other.slope_mm,
         one.kind if trust > 0.5 else other.kind,
         trust * one.shadow_mm3 + rest * other.shadow_mm3,
+        # of a mixture: both variances, and that of the choice
         math.sqrt(trust * one.std_mm3**2 + rest * other.std_mm3**2 + trust * rest * apart**2),
     )
 
@@ -214,6 +217,7 @@ def _integral(t: Floats, area: Floats, slopes: Floats) -> float:
     volume = 0.0
     for i in range(t.size - 1):
         h = t[i + 1] - t[i]
+        # the trapezoid, and what the slopes bend it by
         volume += 0.5 * h * (area[i] + area[i + 1])
         volume += h * h * (slopes[i] - slopes[i + 1]) / 12.0
     return volume
@@ -292,12 +296,14 @@ def _pchip_slopes(t: Floats, area: Floats, slopes: Floats) -> None:
         h, k = t[i] - t[i - 1], t[i + 1] - t[i]
         p, q = (area[i] - area[i - 1]) / h, (area[i + 1] - area[i]) / k
         if p * q > 0.0:
+            # weighted harmonic mean of both sides' slopes
             one, two = 2.0 * k + h, k + 2.0 * h
             slopes[i] = (one + two) / (one / p + two / q)
     for end in range(2):
         i, j, m = (0, 1, 2) if end == 0 else (n - 1, n - 2, n - 3)
         h, k = t[j] - t[i], t[m] - t[j]
         p, q = (area[j] - area[i]) / h, (area[m] - area[j]) / k
+        # of the parabola through three, limited so that the cubic stays monotone
         s = ((2.0 * h + k) * p - h * q) / (h + k)
         if s * p <= 0.0:
             s = 0.0
@@ -332,6 +338,7 @@ def _spline_slopes(t: Floats, area: Floats, ends: Floats, slopes: Floats) -> Non
             above[i] = h + k
         else:
             below[i] = h + k
+    # down the tridiagonal system, and back
     for i in range(1, n):
         share = below[i] / middle[i - 1]
         middle[i] -= share * above[i - 1]
@@ -362,11 +369,13 @@ def unevenness(t: Floats, area: Floats) -> float:
         for j in range(low, high):
             if j == i:
                 continue
+            # Lagrange's polynomial through the others, at the slice
             weight = 1.0
             for k in range(low, high):
                 if k != j and k != i:
                     weight *= (t[i] - t[k]) / (t[j] - t[k])
             guess += weight * area[j]
+        # the slice stands for half the ways to both neighbours
         off = 0.5 * (t[i + 1] - t[i - 1]) * (area[i] - guess)
         total += off * off
     return np.sqrt(total)

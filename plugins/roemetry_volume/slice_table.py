@@ -1,4 +1,11 @@
-"""A product's slices in the order in which they cut the belt, with what they stand for."""
+"""A product's slices in the order in which they cut the belt, with what they stand for.
+
+Model. A plane of light cuts the product; points of the cut are integrated to an area that stands for the way
+to the neighbouring planes, which lean and fan out (`slice_areas`).
+
+Assumed: a slice is seen from row to row, and what is missing between two curves of it goes straight or is a
+hole. It fails, and refuses, with fewer than three slices, below the belt, and for planes of light along X.
+"""
 
 from __future__ import annotations
 
@@ -143,6 +150,7 @@ def _refuse_sunken(rows: Floats, stripe: Integers) -> None:
 
 def table_of(profiles: Profiles, number: int) -> tuple[Floats, Profiles]:
     """Give the kernel's table; points in any order are put into that of the rows first, and given back so."""
+    # most often they are in order: sorted only where the kernel says that they are not
     for _ in range(2):
         table: Floats
         table, ordered = slice_areas(
@@ -264,6 +272,7 @@ def slice_areas(
             )
             count += 1
         begin[i + 1] = count
+    # what a point without a neighbour stands for
     per_row = length / rows if rows > 0.0 else np.nan
     y0 = 0.5 * (low_y + high_y)
     slope_y, slope_z = _fan(plane, y0, table)
@@ -278,6 +287,7 @@ def _fan(plane: Floats, y0: float, table: Floats) -> tuple[float, float]:
     """Write t of each slice; give how fast the planes' slopes dX/dy and dX/dz change with t, per mm."""
     slices = plane.shape[0]
     mean_t, mean_y, mean_z = 0.0, 0.0, 0.0
+    # of a plane n·X = d dX/dy is −n_y/n_x and dX/dz −n_z/n_x
     for i in range(slices):
         nx = plane[i, 0]
         table[i, AT] = (plane[i, 3] - plane[i, 1] * y0) / nx if abs(nx) > 1e-9 else np.nan
@@ -290,6 +300,7 @@ def _fan(plane: Floats, y0: float, table: Floats) -> tuple[float, float]:
         tt += off * off
         ty += off * (-plane[i, 1] / plane[i, 0] - mean_y) if abs(plane[i, 0]) > 1e-9 else 0.0
         tz += off * (-plane[i, 2] / plane[i, 0] - mean_z) if abs(plane[i, 0]) > 1e-9 else 0.0
+    # all at one place: no change is known
     if not tt > 0.0:
         return 0.0, 0.0
     return ty / tt, tz / tt
@@ -334,6 +345,7 @@ def _area(
                 outwards = abs(y - on[m + 1, _Y])
         before, after = inwards, outwards
         inwards = outwards
+        # at a curve's end as much outwards as inwards
         if np.isnan(before):
             before = after
         if np.isnan(after):
@@ -352,6 +364,7 @@ def _area(
         if gap:
             farthest = np.inf if _is_step(on, m, top) else widest
             _gap(out, on[m], on[m + 1], fan, top, per_row, farthest)
+    # a bridge leads down to the belt there; the dome's own course does better
     for end in range(2):
         if bridged[end]:
             tail, reach = _tail(on, end, belt_y[end])
@@ -392,11 +405,13 @@ def _tail(on: Floats, end: int, belt_y: float) -> tuple[float, float]:
         hhhh += h * h * h * h
         dh += d * h
         dhh += d * h * h
+    # least squares of the two terms
     determinant = hh * hhhh - hhh * hhh
     half = 0.5 * most * z0 - 0.5 * row * z0, max(0.5 * most - 0.5 * row, 0.0)
     if used < _TAIL_POINTS or not determinant > 1e-9 * hh * hhhh:
         return half
     b, c = (dh * hhhh - dhh * hhh) / determinant, (dhh * hh - dh * hhh) / determinant
+    # no parabola that goes outwards: a line
     if not b < 0.0:
         c, b = 0.0, dh / hh
     if not b < 0.0:
@@ -404,6 +419,7 @@ def _tail(on: Floats, end: int, belt_y: float) -> tuple[float, float]:
     stop = -z0
     if c < 0.0:
         stop = max(stop, -0.5 * b / c)
+    # not beyond where belt was seen
     if (b + c * stop) * stop > most:
         inside = b * b + 4.0 * c * most
         stop = 2.0 * most / (b - np.sqrt(max(inside, 0.0)))
@@ -435,6 +451,7 @@ def _trimmed(on: Floats) -> tuple[int, int]:
         return start, stop
     for k in range(_END_ROWS):
         here, inner, next_one = on[k, _Z], on[k + 1, _Z], on[k + 2, _Z]
+        # a jump, and then an even rise
         if inner - here > max(_JUMP_MM, _JUMP * (next_one - inner)):
             start = k + 1
         m = count - 1 - k
@@ -552,6 +569,7 @@ def in_order(
         if np.isnan(table[i, AT]) and whole[UNKNOWN] < 0.0:
             whole[UNKNOWN] = i
         if table[i, COUNT] > 0.0:
+            # sorted by insertion, since they are nearly in order
             k = count
             while k > 0 and table[lit[k - 1], AT] > table[i, AT]:
                 lit[k] = lit[k - 1]
@@ -569,6 +587,7 @@ def in_order(
         one, other = lit[k], lit[k + 1]
         gap = table[other, AT] - table[one, AT]
         least = min(least, gap)
+        # stripes between without a point; frames of a scan tell nothing of each other
         step = max(abs(stripe[other] - stripe[one]), 1) if frame[one] == frame[other] else 1
         missing += step - 1
         spacings += gap / step
@@ -604,6 +623,7 @@ def in_order(
         on, between = mine[SEEN], mine[BRIDGED] + mine[FILLED]
         seen += on * own[k]
         joined += between * own[k]
+        # over stripes without a point nothing was seen
         assumed += (on + between) * (held[k] - own[k])
     whole[LEAST_AREA], whole[CLOVEN] = least_area, cloven
     whole[SEEN_MM3], whole[JOINED_MM3], whole[ASSUMED_MM3] = seen, joined, assumed

@@ -49,6 +49,7 @@ def bending(grid: Grid, weight: float, ridge: float) -> Floats:
                         for j in range(cells_v):
                             one = (i + a) * high + j + b
                             other = (i + c) * high + j + d
+                            # symmetric: the lower band is enough
                             if one >= other:
                                 band[one - other, other] += part
     return band
@@ -58,11 +59,13 @@ def bending(grid: Grid, weight: float, ridge: float) -> Floats:
 def _unit_grams() -> tuple[Floats, Floats, Floats]:
     """Integrals over one unit cell of products of the four cubics, of their slopes and of their bends."""
     flat, slope, bend = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
+    # Gauss and Legendre's four nodes, exact up to the seventh degree
     nodes = (0.069431844202973712, 0.330009478207571868, 0.669990521792428132, 0.930568155797026287)
     weights = (0.173927422568726929, 0.326072577431273071, 0.326072577431273071, 0.173927422568726929)
     for k in range(4):
         x = nodes[k]
         f = _cubics(x)
+        # slopes and bends of the four cubics
         g = (-0.5 * (1.0 - x) ** 2, 1.5 * x * x - 2.0 * x, -1.5 * x * x + x + 0.5, 0.5 * x * x)
         h = (1.0 - x, 3.0 * x - 2.0, 1.0 - 3.0 * x, x)
         for a in range(4):

@@ -1,4 +1,9 @@
-"""From visible to true volume: what a recipe says of the underside, which no camera above can see."""
+"""From visible to true volume: what a recipe says of the underside, which no camera above can see.
+
+Model. The true volume is the visible one, a share of it, or what an even gap below the footprint leaves
+(`true_volume`). Assumed: share or gap are the same for all products but for a scatter. It fails for products
+that lie otherwise than those which told the share, and nothing in an image shows it.
+"""
 
 from __future__ import annotations
 
@@ -101,6 +106,7 @@ def true_volume(
     if options.underside == "unknown":
         return None
     if options.underside == "assumed":
+        # even between both shares: their mean, and their difference over √12
         factor = 0.5 * (_BALL_SHARE + 1.0)
         std_mm3 = (1.0 - _BALL_SHARE) / math.sqrt(12.0) * visible.value
     elif options.underside == "rounded":
@@ -114,6 +120,7 @@ def true_volume(
     value = factor * visible.value - off_mm3
     if rng is not None and std_mm3 > 0.0:
         value += std_mm3 * rng.standard_normal()
+    # there cannot be less than no air
     value = min(value, visible.value)
     if not value > 0.0:
         return Estimate(math.nan)

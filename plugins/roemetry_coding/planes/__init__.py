@@ -90,12 +90,14 @@ class Planes(Coder[PlanesOptions]):
         problem = build_problem(peaks, calibration, rest, _REACH[0])
         refuse_bare_lines(bool(problem.candidates.many.any()), rest.x_px.shape[0])
         solved = cheapest_labels(problem)
+        # raised only where bodies stand at the bound: more labels cost time on every line
         for bound, reach in pairwise(_REACH):
             if not _bounded(peaks, stripes_of(problem, solved), calibration, rest, bound):
                 break
             problem = reaching(problem, calibration, rest, reach)
             solved = cheapest_labels(problem)
         verdicts = verdicts_of(problem, solved, peaks.row)
+        # stripes that are named: with light on their rest line, or at least given often enough
         given = np.bincount(verdicts.stripe[verdicts.stripe >= 0], minlength=problem.there.size)
         live = np.flatnonzero((problem.there > 0.0) & (given >= _LIVE_PEAKS_MIN))
         refuse_bare_lines(live.size > 0 and _belt_fits(peaks, rest), rest.x_px.shape[0])
@@ -108,6 +110,7 @@ class Planes(Coder[PlanesOptions]):
             self.options.margin_min,
             self.options.longest_gap_rows,
         )
+        # peaks refused for doubt count here as well: such a frame is of no use
         labelled = (stripe >= 0).mean()
         if labelled < _LABELLED_SHARE_MIN:
             raise StageError(
@@ -133,8 +136,10 @@ def _bounded(peaks: Peaks, stripe: Integers, calibration: Calibration, rest: Res
     """Say whether bodies might be one stripe spacing higher, had heights above the bound been looked at."""
     if rest.x_px.shape[0] < 2:
         return False
+    # off its own rest line: body
     body = np.flatnonzero((stripe >= 0) & (stripe != rest.line))
     per_mm = calibration.displacement_px_per_mm[stripe[body]]
+    # to first order: only asked whether one label more would have passed the bound
     height_mm = (peaks.x_px[body] - rest.x_px[stripe[body], peaks.row[body]]) / per_mm
     label_mm = median_of(np.diff(rest.x_px, axis=0).ravel()) / np.abs(per_mm)
     at_bound = np.count_nonzero(height_mm + label_mm > bound * calibration.height_range_mm[1])

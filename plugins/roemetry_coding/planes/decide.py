@@ -119,6 +119,7 @@ def verdicts_of(problem: Problem, solved: Solved, row: Integers) -> Verdicts:
     pieces, candidates, entries = problem.pieces, problem.candidates, problem.entries
     stripe, height_mm, dearer, evidence = _labels_of(problem, solved)
     settled = ends_settled(pieces, stripe)
+    # an end's label is as sure as the trace around it says
     dearer *= settled
     dearer[np.bincount(pieces.of)[pieces.of] < _FEW_PEAKS] *= _FEW_COUNT
     sure = settled > 0.0
@@ -128,6 +129,7 @@ def verdicts_of(problem: Problem, solved: Solved, row: Integers) -> Verdicts:
         _together(problem, stripe, np.ones(stripe.size, np.bool_)) / _LONG_PEAKS, _SMALL_COUNT, 1.0
     )
     evidence *= short
+    # belt by its rest line, another stripe by its label: an edge
     of_rest = pieces.rest[pieces.of]
     strange = (of_rest >= 0) & (stripe != of_rest)
     evidence[strange & (_together(problem, stripe, of_rest == -1) < _BODY_PEAKS)] *= _STRANGE_COUNT
@@ -139,6 +141,7 @@ def verdicts_of(problem: Problem, solved: Solved, row: Integers) -> Verdicts:
         return np.asarray(short * found)
 
     before = np.zeros(stripe.size, np.bool_)
+    # labels that are in doubt may prop each other up; the evidence is taken without them
     for _ in range(_DOUBT_ROUNDS):
         doubtful = (stripe >= 0) & ((evidence < _DOUBTFUL) | ~sure)
         if (doubtful == before).all():  # nothing, or nothing new: the evidence would stay as it is
@@ -165,22 +168,28 @@ def decided(
 ) -> tuple[Integers, Floats, list[Reason]]:
     """Refuse what is in doubt or out of order; give (peak,) stripe or verdict, margin, and what to say."""
     pieces, stripes = problem.pieces, problem.there.size
+    # a fan's pattern may say the number outright
     verdicts = _renumbered(verdicts, peaks, rest, calibration.displacement_px_per_mm)
     stripe = verdicts.stripe.copy()
     bodies = body_of(peaks.row, verdicts.stripe, rest)
     denies = denies_belt(problem.entries, pieces.line, verdicts.stripe, bodies, peaks.amplitude)
     margin = margin_of(verdicts.dearer, verdicts.evidence)
+    # a tolerance of the rest line, in height
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     above = verdicts.height_mm > calibration.height_range_mm[1] + slack_mm[np.maximum(stripe, 0)]
     # what rises above the range out of a body within it is that body's, and the product is refused for it
     if above.any():
         above &= _mostly(above, body_of(peaks.row, stripe, rest))
+    # a label above the range must be so much surer
     margin[above] = np.maximum(1.0 - _ABOVE_ODDS * (1.0 - margin[above]), 0.0)
+    # only a few: they are pieces, not a product out of range, and are refused by themselves
     if np.count_nonzero(above) <= _ABOVE_SHARE_MIN * np.count_nonzero((stripe >= 0) & (stripe != rest.line)):
         stripe[above] = AMBIGUOUS
+    # then the vetoes, one after another; each sees what those before left
     stripe[(stripe >= 0) & ~(verdicts.sure & (margin >= margin_min))] = AMBIGUOUS
     stripe[denies] = AMBIGUOUS
     stripe[out_of_order(problem.entries, peaks.row, rest.line, stripe, stripes)] = AMBIGUOUS
+    # also of what pieces claim: a piece that order often speaks against is refused where it has labels
     wrong = out_of_order(problem.entries, peaks.row, rest.line, verdicts.claims, stripes)
     often = np.bincount(pieces.of[wrong], minlength=pieces.rest.size) >= _CONTESTED_PEAKS
     stripe[wrong & often[pieces.of] & (stripe >= 0)] = AMBIGUOUS
@@ -193,14 +202,17 @@ def decided(
         longest_gap_rows,
         on_bodies_too=True,
     )
+    # a stripe interrupted with nothing in sight to hide it: the doubt is followed along stripe and trace
     if gaps:
         partly = left_over(pieces.of, verdicts.stripe, stripe, _BODY_LEFT_SHARE)
         stripe[partly & (rest.line != verdicts.stripe)] = AMBIGUOUS
         level = ~pieces.anchored[pieces.of] & nearly_belt(peaks, verdicts.stripe, rest)
         for along in (verdicts.stripe, pieces.trace):
             stripe[going_on(peaks.row, along, level, stripe < 0, longest_gap_rows)] = AMBIGUOUS
+    # last: what is left of a piece after all that must be most of it
     stripe[left_over(pieces.of, verdicts.stripe, stripe, _LEFT_SHARE)] = AMBIGUOUS
     stripe[_never_followed(problem, stripe, body_of(peaks.row, stripe, rest))] = AMBIGUOUS
+    # what a pattern contradicts even now is wrong
     still, wrong = numbered_by_pattern(peaks.row, peaks.x_px, stripe, rest)
     stripe[wrong | (still != 0)] = AMBIGUOUS
     return stripe, margin, gaps
@@ -211,6 +223,7 @@ def _never_followed(problem: Problem, stripe: Integers, body: Integers) -> Flags
     on = body > 0
     together = _together(problem, np.maximum(stripe, -1), on)
     cell = body * problem.there.size + np.maximum(stripe, 0)
+    # the longest trace of each stripe on each body
     most = np.zeros(int(cell.max(initial=0)) + 1, np.int64)
     np.maximum.at(most, cell[on], together[on])
     return np.asarray(on & (most[cell] < _FOLLOWED_PEAKS))
@@ -226,6 +239,7 @@ def _mostly(which: Flags, body: Integers) -> Flags:
 def _renumbered(verdicts: Verdicts, peaks: Peaks, rest: RestLines, px_per_mm: Floats) -> Verdicts:
     """Give whole bodies the number that the fan's pattern says, where it says one."""
     shift, _ = numbered_by_pattern(peaks.row, peaks.x_px, verdicts.stripe, rest)
+    # on most frames no body is told
     moved = np.flatnonzero(shift)
     if not moved.size:
         return verdicts
@@ -256,6 +270,7 @@ def margin_of(dearer: Floats, evidence: Floats) -> Floats:
         A margin m says that the label is wrong with a probability of about (1 − m)/2; 0, that it is wrong as
         often as not, or more often.
     """
+    # the worse of both figures; a probability of 0.5 is a margin of 0
     wrong = np.maximum(_counted(dearer, _ALONE), _counted(evidence, _SHIFTED))
     return np.asarray(1.0 - 2.0 * wrong)
 
@@ -271,6 +286,7 @@ def _counted(value: Floats, points: tuple[tuple[float, float], ...]) -> Floats:
 
 def _together(problem: Problem, stripe: Integers, counted: Flags) -> Integers:
     """Give (peak,) how many of its trace that are counted have its stripe."""
+    # −1 for none takes the first place
     cell = problem.pieces.trace * (problem.there.size + 1) + stripe + 1
     return np.asarray(np.bincount(cell[counted], minlength=int(cell.max()) + 1)[cell])
 
@@ -290,6 +306,7 @@ def _peak_labels(
     entry = _nearest_entry(entries.start, entries.peak, count, line)
     votes, voted = np.zeros(piece_line.shape[0], np.int64), np.full(piece_line.shape[0], -1, np.int64)
     size, least = np.zeros(piece_line.shape[0], np.int64), np.full(piece_line.shape[0], np.inf)
+    # first round: majority of each piece (Boyer and Moore 1991); second: how large it is
     for turn in range(2):
         for p in range(peaks):
             i, f = entry[p], piece[p]
@@ -307,6 +324,7 @@ def _peak_labels(
                     votes[f] += 1
                     least[f] = min(least[f], evidence[i])
         if turn == 0:
+            # counted anew
             votes[:] = 0
     stripe = np.full(peaks, -1, np.int64)
     dearer, sure, height_mm = np.zeros(peaks), np.zeros(peaks), np.zeros(peaks)
@@ -318,9 +336,11 @@ def _peak_labels(
         whole = size[f] >= _WHOLE_PEAKS and votes[f] >= _WHOLE_SHARE * size[f]
         k = voted[f] - low[i]
         whole = whole and 0 <= k < count[i]
+        # left out alone amid a piece of one stripe: it takes that label
         if whole and node == offset[i + 1] - 1:
             node, sure[p] = offset[i] + k, least[f]
         second = np.inf
+        # the label for none is no rival within a whole piece
         for n in range(offset[i], offset[i + 1] - whole):
             if n != node:
                 second = min(second, cost[n])
@@ -328,6 +348,7 @@ def _peak_labels(
         stripe[p] = low[i] + k if k < count[i] else -1
         dearer[p] = max(second - cost[node], 0.0)
         height_mm[p] = candidates.height[node]
+    # peaks without an entry: between the nearest of their piece before and behind
     before = np.full(piece.shape[0], -1, np.int64)
     last = np.full(piece.shape[0], -1, np.int64)
     for p in range(peaks):

@@ -154,6 +154,7 @@ def candidates_of(
     low = np.zeros(size, np.int64)
     count = np.zeros(size, np.int64)
     offset = np.zeros(size + 1, np.int64)
+    # first pass: which stripes; second: their heights, when the number of nodes is known
     for e in range(start.shape[0] - 1):
         for i in range(start[e], start[e + 1]):
             last = -1
@@ -165,7 +166,9 @@ def candidates_of(
                         count[i] = 1
                     last = k
             if last >= 0:
+                # possible stripes follow each other, so first and last are enough
                 count[i] = last - low[i] + 1
+            # one more node, for none
             offset[i + 1] = offset[i] + count[i] + 1
     height = np.zeros(offset[-1])
     label_mm = np.ones(offset[-1])
@@ -173,6 +176,7 @@ def candidates_of(
         for i in range(start[e], start[e + 1]):
             for k in range(low[i], low[i] + count[i]):
                 z = _height(plane[e, k], u[i])
+                # from the neighbour on either side; the last stripe has only one before it
                 other = k + 1 if k + 1 < stripes else k - 1
                 node = offset[i] + k - low[i]
                 height[node] = z
@@ -207,6 +211,7 @@ def pair_costs_of(
     plane = lines.plane
     count_lines = plane.shape[0]
     pairs, costs = 0, 0
+    # pairs are counted first, so that the arrays can be made in one piece
     for e in range(count_lines):
         for p in range(start[e], start[e + 1]):
             for q in range(max(start[e], p - _LOOK_BACK), p):
@@ -217,6 +222,7 @@ def pair_costs_of(
     surface = np.empty(costs, np.float32)
     unseen = np.empty(costs, np.float32)
     before, after = _borders(entries, candidates, lines, presence, u_per_px)
+    # running sums of presence, so that stripes between two are counted without a loop
     sums = np.zeros((count_lines, plane.shape[1] + 1))
     for e in range(count_lines):
         for k in range(plane.shape[1]):
@@ -237,23 +243,30 @@ def pair_costs_of(
                     z_s, label = height[offset[p] + i], label_mm[offset[p] + i]
                     for j in range(count[q]):
                         t = low[q] + j
+                        # out of order: never
                         if t >= s:
                             surface[c] = np.inf
                             unseen[c] = np.inf
                             c += 1
                             continue
                         z_t = height[offset[q] + j]
+                        # the least of three predictions: level, and the slopes from either side carried on
+                        # over the stripes between
                         rise = z_s - z_t
                         step = abs(rise)
                         step = min(step, abs(rise - (s - t) * slope[offset[q] + j, 0]))
                         step = min(step, abs(rise - (s - t) * slope[offset[p] + i, 1]))
                         step /= _CLIFF * label
                         on_belt = abs(z_t) <= belt_mm[t], abs(z_s) <= belt_mm[s]
+                        # exactly one on the belt: an edge of a body, which every body has two of
                         if on_belt[0] != on_belt[1]:
                             surface[c] = min(step * step, _RIM)
                         elif s - t > 1 and not on_belt[0]:
+                            # stripes are missing amid a body: its surface there is broken, unless (below)
+                            # only their light was lost
                             surface[c] = 1.0
                         else:
+                            # squared and capped: a step beyond half a label height is as bad as any
                             surface[c] = min(step * step, 1.0)
                         if s - t > 1:
                             # the higher place may go on until just before the next stripe would show on it
@@ -317,6 +330,7 @@ def _borders(
     for e in range(lines):
         if np.isnan(u_min[e]) or start[e] == start[e + 1]:
             continue
+        # the highest label of the line: no stripe is looked for above it
         top = 0.0
         for node in range(offset[start[e]], offset[start[e + 1]]):
             top = max(top, height[node])
@@ -333,10 +347,12 @@ def _borders(
             for i in range(count[p]):
                 s, z = low[p] + i, max(height[offset[p] + i], 0.0)
                 for k in range(s - 1, -1, -1):
+                    # a stripe that merges with this one is not missing
                     apart = _ramp((u[p] - belt_u[k]) / u_per_px, _MERGED_PX, _APART_PX)
                     there = 1.0
                     if not inside[0, k]:
                         there = _at_border(plane[e, k], z, u_min[e], np.inf, u_per_px)
+                    # far enough: from here on the sums of the belt hold
                     if k < s - _LEFT_OUT_MAX and apart == 1.0 and there == 1.0:
                         before[offset[p] + i] += seen_left[k + 1]
                         break
@@ -350,6 +366,7 @@ def _borders(
                     if k > s + _LEFT_OUT_MAX and apart == 1.0 and there == 1.0:
                         after[offset[p] + i] += seen_right[k]
                         break
+                    # no more than it would be seen on the bare belt
                     weight = presence[e, k] * min(apart, there)
                     after[offset[p] + i] += min(seen_right[k] - seen_right[k + 1], weight)
     return before, after
@@ -367,11 +384,13 @@ def _left_out(
     """
     there = sums[e, s] - sums[e, t + 1]
     least, most = _HIDDEN * there, (1.0 - _HIDDEN) * room
+    # nothing can hide: all that is there would be seen
     if hides == 0.0 or room == 0.0:
         return least + most * there
     seen = 0.0
     for k in range(t + 1, s):
         u = _place(plane[e, k], z)
+        # on the lower level beside the wall; the nearer to the wall, the surer it is hidden
         inside = u - left if not rising else right - u
         behind = hides * (1.0 - _ramp(inside / u_per_px, _MERGED_PX, _APART_PX))
         seen += presence[e, k] * (1.0 - behind)
@@ -390,6 +409,7 @@ def _rising(planes: Floats) -> bool:
     Asked of two neighbours on the belt: a line of sight runs away from planes far off its own, which it would
     meet behind the camera, and what it says of those is the opposite.
     """
+    # amid the fan; two stripes side by side tell the sense
     k = planes.shape[0] // 2
     return planes.shape[0] > 1 and _height(planes[k], _place(planes[k - 1], 0.0)) > 0.0
 
@@ -436,6 +456,7 @@ def unary_costs(
         rows[piece[p]] += 1
     own = np.zeros(offset[-1])
     for i in range(peak.shape[0]):
+        # own rest line: little for a single peak, much in a run that comes from the image's border
         p = peak[i]
         for k in range(count[i]):
             s = low[i] + k
@@ -445,8 +466,11 @@ def unary_costs(
                 if pieces.rest[piece[p]] == s and pieces.anchored[piece[p]]:
                     own[node] -= weights.anchor * min(rows[piece[p]] / anchor_rows, 1.0)
             elif abs(candidates.height[node]) < _FILM * candidates.label_mm[node]:
+                # hardly above the belt: a film, which a body is not
                 own[node] += weights.film
+            # a stripe that is not there at all is nobody's label
             own[node] += weights.absent * (1.0 - min(1.0, there[s] / _THERE))
+        # faint light is more likely a reflection: cheaper to leave out
         faint = 1.0 - _ramp(pieces.light[piece[p]], _FAINT, _BRIGHT)
         own[offset[i + 1] - 1] = weights.false_peak * (1.0 - weights.faint * faint)
     return own

@@ -149,8 +149,10 @@ def entries_of(
     high = np.empty(peaks, np.int64)
     count = np.zeros(count_lines + 1, np.int64)
     for p in range(peaks):
+        # half way to the trace's neighbours, or half a line beyond its ends
         a = line[p] - 0.5 if before[p] < 0 else 0.5 * (line[p] + line[before[p]])
         b = line[p] + 0.5 if after[p] < 0 else 0.5 * (line[p] + line[after[p]])
+        # a trace that runs back across the lines: ends are open on the other side
         if (before[p] >= 0 and line[before[p]] > line[p]) or (after[p] >= 0 and line[after[p]] < line[p]):
             a = line[p] + 0.5 if before[p] < 0 else a
             b = line[p] - 0.5 if after[p] < 0 else b
@@ -158,6 +160,7 @@ def entries_of(
             a, b = b, a
         low[p] = max(0, int(np.ceil(a)))
         high[p] = min(count_lines - 1, int(np.ceil(b)) - 1)
+        # number of entries of each line, for the arrays
         for e in range(low[p], high[p] + 1):
             count[e + 1] += 1
     start = np.cumsum(count)
@@ -168,6 +171,7 @@ def entries_of(
     for p in range(peaks):
         for e in range(low[p], high[p] + 1):
             k = fill[e]
+            # insertion by u; traces come row by row, so most are in order already
             while k > start[e] and place[k - 1] > u[p]:
                 place[k], peak[k] = place[k - 1], peak[k - 1]
                 k -= 1
@@ -179,6 +183,7 @@ def entries_of(
 
 def _rows(peaks: Peaks, calibration: Calibration, rest_px: Floats) -> EpipolarLines:
     rows, columns = peaks.image_size
+    # z = (x − rest) / displacement: the projective map without its denominator
     per_px = np.broadcast_to(1.0 / calibration.displacement_px_per_mm[:, None], rest_px.shape).T
     zero, one = np.zeros_like(per_px), np.ones_like(per_px)
     # as fresh arrays, like those of epipolar lines: for other layouts every kernel would be compiled again
@@ -197,12 +202,15 @@ def _rows(peaks: Peaks, calibration: Calibration, rest_px: Floats) -> EpipolarLi
 
 def _projector(view: View) -> Floats | None:
     """Give where the light comes from; if only planes are known, their point nearest to the camera."""
+    # a calibrated projector first; planes alone give their common point
     if np.isfinite(view.projector_mm).all():
         return np.asarray(view.projector_mm)
     normal, distance = view.planes[:, :3], view.planes[:, 3]
+    # all normals nearly parallel: the planes have no common point within reach
     size = np.linalg.svd(normal, compute_uv=False)
     if size.size < 2 or size[1] < _PARALLEL * size[0]:
         return None
+    # least squares of n·X = d from the camera: the nearest of all points that fit equally
     away = np.linalg.lstsq(normal, distance - normal @ view.camera_mm, rcond=_PARALLEL)[0]
     return np.asarray(view.camera_mm + away)
 
@@ -227,6 +235,7 @@ class _Sight(NamedTuple):
             return placed_by_camera(xy_px, self.camera, self.view.T_belt_camera, *self[1:4])
         way = self.view.rays(xy_px)[1]
         ahead, beside = way @ self.forward, way @ self.side
+        # a line of sight along the base itself has no angle
         with np.errstate(divide="ignore", invalid="ignore"):
             u = (way @ self.base) / np.hypot(ahead, beside)
         return np.arctan2(beside, ahead), u, way
@@ -259,6 +268,7 @@ def _sight_of(view: View) -> _Sight | None:
     middle = view.rays(np.array([[(columns - 1) / 2.0, (rows - 1) / 2.0]]))[1][0]
     forward = middle - (middle @ base) * base
     if np.linalg.norm(forward) < _PARALLEL:
+        # the camera looks along the base: lines would run out from the image's middle
         return None
     forward = np.asarray(forward / np.linalg.norm(forward))
     return _Sight(view, base, forward, np.cross(base, forward), camera_of(view))
@@ -286,16 +296,20 @@ def _fan_of(view: View, sign: float) -> _Fan | None:
     if not np.isfinite(u_border).all() or np.ptp(angle_border) > np.pi / 2:
         return None  # the image shows the projector, or sees it through a lens that folds
     centre = np.stack([np.full(rows, (columns - 1) / 2.0), np.arange(rows, dtype=np.float64)], axis=1)
+    # an image row's angle in the middle of the image
     step = float(np.median(np.diff(sight.placed(centre)[0])))
+    # from the border where the angles begin, in the direction in which rows do
     first = float(angle_border.min() if step > 0 else angle_border.max())
     count = int(np.ptp(angle_border) / abs(step)) + 2 if step else 0
     if not 0 < count <= _LINES_MAX_FACTOR * rows:
         return None
     plane = _planes(sight, first + step * np.arange(count, dtype=np.float64), sign)
     u_min, u_max = np.full(count, np.inf), np.full(count, -np.inf)
+    # border places by line; each line takes the extremes of those that fall on it
     at = np.clip(np.rint((angle_border - first) / step).astype(np.int64), 0, count - 1)
     np.minimum.at(u_min, at, sign * u_border)
     np.maximum.at(u_max, at, sign * u_border)
+    # a line that meets the border in one place or none does not cross the image
     outside = ~(u_min < u_max)
     u_min[outside] = u_max[outside] = np.nan
     return _Fan(first, step, plane, u_min, u_max)
@@ -307,14 +321,18 @@ def _epipolar(peaks: Peaks, sight: _Sight, rest_px: Floats) -> EpipolarLines | N
     rest = np.concatenate([rest_px[[0, -1], rows // 2], rest_px[:, 0], rest_px[:, -1]])
     row = np.repeat([rows / 2.0, 0.0, rows - 1.0], [2, stripes, stripes])
     angle_rest, across, _ = sight.placed(np.stack([rest, row], axis=1))
+    # u must rise with the stripe: seen on the middle row
     sign = 1.0 if across[1] >= across[0] else -1.0
     fan = _fan_of(sight.view, sign)
     if fan is None:
         return None
     angle, u, ways = sight.placed(np.stack([peaks.x_px, peaks.row.astype(np.float64)], axis=1))
     planes = sight.view.planes
+    # towards higher stripes, along the belt: the mean of the planes' normals, with the sign in which their
+    # distances rise
     towards = np.array([*planes[:, :2].mean(axis=0), 0.0])
     towards *= np.sign(np.median(np.diff(planes[:, 3] / (planes @ np.array([*towards, 0.0])))))
+    # per millimetre down, since lines of sight go down
     lean = (ways @ towards) / (-ways[:, 2] * np.linalg.norm(towards))
     enters, leaves = ((angle_rest[2:] - fan.first) / fan.step).reshape(2, stripes)
     line = (angle - fan.first) / fan.step
@@ -324,12 +342,15 @@ def _epipolar(peaks: Peaks, sight: _Sight, rest_px: Floats) -> EpipolarLines | N
 def _planes(sight: _Sight, angle: Floats, sign: float) -> Floats:
     """(line, stripe, 4) numbers that give height from the place on a line."""
     view, base = sight.view, sight.base
+    # direction of sight at angle: the part of it square to the base; u adds that along the base
     ahead = np.cos(angle)[:, None] * sight.forward + np.sin(angle)[:, None] * sight.side
     normal = view.planes[:, :3]
     along = normal @ base
     away = ahead @ normal.T
+    # distance of the camera from each plane
     reach = view.planes[:, 3] - normal @ view.camera_mm
     camera_z = view.camera_mm[2]
+    # from camera height + t · direction, t where the plane is met, with u as the unknown
     alpha = np.broadcast_to(sign * (camera_z * along + reach * base[2]), away.shape)
     beta = camera_z * away + reach * ahead[:, 2:]
     gamma = np.broadcast_to(sign * along, away.shape)
@@ -377,6 +398,7 @@ def _tied(
     for e in range(start.shape[0] - 1):
         for i in range(start[e], start[e + 1]):
             line_of[i] = e
+            # of this trace, on the line before, not yet tied on
             j = last[trace[peak[i]]]
             if j >= 0 and line_of[j] == e - 1 and down[j] < 0:
                 up[i], down[j] = j, i
@@ -388,22 +410,27 @@ def _tied(
         for i in range(start[e], start[e + 1]):
             if up[i] >= 0:
                 continue
+            # 1 is what an end may be off at most
             best, found = 1.0, -1
             for back in range(1, gap_lines + 1):
                 if e - back < 0:
                     break
                 for j in range(start[e - back], start[e - back + 1]):
+                    # only open ends, of other traces
                     if down[j] >= 0 or trace[peak[j]] == trace[peak[i]]:
                         continue
+                    # mean slope of both ends over the gap
                     slope = 0.5 * (_slope(j, up, place, -1) + _slope(i, down, place, 1))
                     off = abs(place[j] + slope * back - place[i]) / u_per_px
                     if off / (_END_PX[0] + _END_PX[1] * back) < best:
                         best, found = off / (_END_PX[0] + _END_PX[1] * back), j
                 if found >= 0:
                     break
+            # nearest line first: a farther end is only asked where no nearer one points here
             if found >= 0:
                 up[i], down[found] = found, i
                 tie[i] = _TIE_LOOSE
+                # belt to belt or body to body; at a rim only the loose tie
                 if belt[peak[i]] == belt[peak[found]]:
                     tie[i] += tie_gap * (1.0 - best)
     return up, down, tie
@@ -416,4 +443,5 @@ def _slope(i: int, to: Integers, place: Floats, sign: int) -> float:
     while steps < _SLOPE_LINES and to[k] >= 0:
         k = to[k]
         steps += 1
+    # towards the end: slopes are per line downwards on both sides
     return 0.0 if steps == 0 else sign * (place[k] - place[i]) / steps

@@ -80,6 +80,7 @@ def relative_light(row_start: Integers, amplitude: Floats) -> Floats:
                     beside[many] = amplitude[q]
                     many += 1
             if many > 0:
+                # the mean of the two middle ones of up to four
                 for k in range(1, many):  # so few are sorted where they stand
                     one, m = beside[k], k
                     while m > 0 and beside[m - 1] > one:
@@ -87,6 +88,7 @@ def relative_light(row_start: Integers, amplitude: Floats) -> Floats:
                         m -= 1
                     beside[m] = one
                 middle = 0.5 * (beside[(many - 1) // 2] + beside[many // 2])
+                # brighter than its neighbours says nothing: at most 1
                 if amplitude[p] < middle:
                     found[p] = amplitude[p] / middle
     return found
@@ -126,13 +128,16 @@ def presence_of(
             first[s], last[s] = min(first[s], line[p]), max(last[s], line[p])
     presence = np.zeros((lines, stripes))
     for s in range(stripes):
+        # too few peaks on its line: bodies cross it for as many
         if seen[s] < rows_min:
             continue
         low, high = min(enters[s], leaves[s]), max(enters[s], leaves[s])
+        # neither end reaches the border, and it is short: a neighbour's body, one spacing up
         amid = first[s] - low > end_lines and high - last[s] > end_lines
         if amid and seen[s] < _AMID_SHARE * (high - low):
             continue
         for e in range(lines):
+            # beyond where its belt ends, unless that is near the border
             off = (e < first[s] and first[s] - low > end_lines) or (
                 e > last[s] and high - last[s] > end_lines
             )
@@ -160,6 +165,7 @@ def found_share(row: Integers, line: Integers, stripes: int, rows: int, outer: i
     first, last = np.full((2, stripes), rows), np.full((2, stripes), -1)
     for p in range(row.shape[0]):
         s = line[p]
+        # only the image's top and bottom
         if s < 0 or outer <= row[p] < rows - outer:
             continue
         part = 0 if row[p] < outer else 1
@@ -171,6 +177,7 @@ def found_share(row: Integers, line: Integers, stripes: int, rows: int, outer: i
         for part in range(2):
             long = last[part, s] - first[part, s] + 1
             if long >= _FOUND_ROWS_MIN:
+                # more than one peak a row at most counts as all rows
                 best = max(best, found[part, s] / long)
         if best > 0.0:
             share[s] = min(best, 1.0)
@@ -194,6 +201,7 @@ def between_bare(row: Integers, line: Integers, stripes: int, rows: int, rows_mi
     """
     bare = np.zeros((stripes, rows), np.bool_)
     last = np.full(stripes, -1, np.int64)
+    # behind the peaks, one more round for each line closes its last gap
     for p in range(row.shape[0] + stripes):
         r = row[p] if p < row.shape[0] else rows
         s = line[p] if p < row.shape[0] else p - row.shape[0]
@@ -205,6 +213,7 @@ def between_bare(row: Integers, line: Integers, stripes: int, rows: int, rows_mi
     found = np.zeros(row.shape[0], np.bool_)
     for p in range(row.shape[0]):
         s = line[p]
+        # the outer lines have a neighbour on one side only
         if 0 < s < stripes - 1:
             found[p] = bare[s - 1, row[p]] and bare[s + 1, row[p]]
     return found
@@ -251,10 +260,12 @@ def cut_ends(
     for p in range(row.shape[0]):
         f, part = piece[p], 0
         if line[f] >= 0:
+            # a belt that begins amid the image, or ends there: the rows next to that end
             if first[f] > border_rows and row[p] < first[f] + end_rows:
                 part = 1
             elif last[f] < rows - 1 - border_rows and row[p] > last[f] - end_rows:
                 part = 2
+        # each of the three parts gets a number when it is first met
         if number[f, part] < 0:
             number[f, part] = count
             on[count] = line[f] if part == 0 else ENDS
@@ -290,6 +301,7 @@ def on_rest_line(
         Rows at the image's top, and bottom, where belt is expected.
     """
     peaks, rows = row.shape[0], rest_px.shape[1]
+    # how far the whole belt has moved, linearly between top and bottom
     ends_px = _offsets_at_ends(row, x_px, line, rest_px, offset_px, outer)
     start, order = _along(trace)
     mean_px = np.full((peaks, 2), np.inf)
@@ -300,12 +312,14 @@ def on_rest_line(
             s = line[p]
             if s < 0:
                 continue
+            # the peaks before and the peaks behind, itself included
             for side in range(2):
                 total, count, m = 0.0, 0, n
                 while start[t] <= m < start[t + 1] and count < _ROWS:
                     q = order[m]
                     at = row[q] / (rows - 1.0)
                     off_px = x_px[q] - rest_px[s, row[q]] - (1.0 - at) * ends_px[s, 0] - at * ends_px[s, 1]
+                    # something else has begun: the mean ends here
                     if abs(off_px) > _SEARCH * tolerance_px:
                         break
                     total += off_px
@@ -314,10 +328,12 @@ def on_rest_line(
                 if count >= _LEAST_ROWS:
                     told[p] = True
                     mean_px[p, side] = abs(total / count)
+    # the better side: at an edge one side is belt, the other not
     least_px = np.minimum(mean_px[:, 0], mean_px[:, 1])
     asked = told & ((row < outer) | (row >= rows - outer))
     still_px = _STILL * tolerance_px
     if asked.any():
+        # as far as means of belt are off in this image, but no farther than a single peak may be
         still_px = max(still_px, min(_SIGMAS * _MAD_TO_STD * median_of(least_px[asked]), tolerance_px))
     still = line.copy()
     for p in range(peaks):
@@ -329,9 +345,11 @@ def on_rest_line(
             s, begin = still[order[n]], n
             while n < start[t + 1] and still[order[n]] == s:
                 n += 1
+            # a short run amid a trace; long ones, and those at the trace's ends, are belt
             if s < 0 or n - begin >= _LEAST_ROWS or begin == start[t] or n == start[t + 1]:
                 continue
             before, after = order[begin - 1], order[n]
+            # the trace crosses the line: on one side before, on the other behind
             if (x_px[before] < rest_px[s, row[before]]) == (x_px[after] > rest_px[s, row[after]]):
                 still[order[begin:n]] = -1
     return still
@@ -343,8 +361,10 @@ def _offsets_at_ends(
 ) -> Floats:
     """Give (stripe, 2) how far its belt lies beside its line at the image's top and bottom, px."""
     stripes, rows = rest_px.shape
+    # without enough peaks: what the whole image says
     found, count = np.full((stripes, 2), offset_px), np.zeros((stripes, 2), np.int64)
     off_px = np.empty((stripes, 2, 0))
+    # counted first, then gathered
     for counts in (True, False):
         for p in range(row.size):
             s, side = line[p], 0 if row[p] < outer else 1
@@ -369,6 +389,7 @@ def _along(trace: Integers) -> tuple[Integers, Integers]:
     traces = trace.max() + 1 if trace.shape[0] else 0
     start = np.zeros(traces + 1, np.int64)
     for p in range(trace.shape[0]):
+        # counting sort by trace; peaks come by row and stay so
         start[trace[p] + 1] += 1
     start = np.cumsum(start)
     order, fill = np.empty(trace.shape[0], np.int64), start[:-1].copy()

@@ -100,9 +100,11 @@ def cheapest_shifts(
     evidence = np.zeros(best.size)
     runs = runs_of(entries, candidates, piece, best, own, costs, weights)
     for _ in range(_SHIFTS_MAX):
+        # singles first: they are cheap, and leave fewer wrong runs to drag along
         by = single_shifts(runs, _GAIN_MIN)
         if not by.any():
             dearer, by = shifts_of(runs, entries.start.size - 1, _GAIN_MIN)
+            # evidence is that of the last look, on which nothing moved
             evidence = of_entries(runs, dearer, np.inf)
             if not by.any():
                 break
@@ -125,6 +127,7 @@ def evidence_without(
     weights: Weights, doubtful: Flags,
 ) -> Floats:  # fmt: skip
     """Give (peak,) evidence as it is without the (peak,) ones that are in doubt; infinite for these."""
+    # doubtful entries are none here, so they can neither hold nor force others
     left = np.where(doubtful[entries.peak], candidates.offset[1:] - 1, best)
     runs = runs_of(entries, candidates, piece, left, own, costs, weights)
     found = np.full(doubtful.size, np.inf)
@@ -149,6 +152,7 @@ def runs_of(
     runs, lines = stripe.shape[0], start.shape[0] - 1
     alone = np.zeros((runs, _WAYS + 1))
     first, last_line = np.full(runs, lines, np.int64), np.full(runs, -1, np.int64)
+    # each entry may touch one run above and one to the left
     key = np.empty(2 * of.shape[0], np.int64)
     keys = 0
     # runs touch the same ones from line to line: what the last line said is not written down again
@@ -160,6 +164,7 @@ def runs_of(
             if f < 0:
                 continue
             first[f], last_line[f] = min(first[f], e), max(last_line[f], e)
+            # none of it: all its entries are false peaks
             alone[f, _OUT] += own[offset[p + 1] - 1]
             if q >= 0 and of[q] >= 0 and of[q] != f and of[q] != above[f]:
                 above[f] = of[q]
@@ -179,20 +184,24 @@ def runs_of(
             f, q = of[p], before_entry[p]
             if f < 0:
                 continue
+            # own costs for the run one stripe to the left, where it is, one to the right
             for a in range(_WAYS):
                 k = stripe[f] + a - _ASIDE - low[p]
                 if 0 <= k < count[p]:
                     alone[f, a] += own[offset[p] + k]
+                    # first label of its line: what would be seen to its left
                     if last < 0:
                         alone[f, a] += weights.unseen * before[offset[p] + k]
                 else:
                     alone[f, a] += IMPOSSIBLE
             if q >= 0 and of[q] >= 0 and of[q] != f:
                 t = np.searchsorted(key, of[q] * runs + f)
+                # along a trace: the tie, wherever the two differ
                 for a in range(_WAYS):
                     for b in range(_WAYS):
                         if stripe[of[q]] + a != stripe[f] + b:
                             both[t, a, b] += tie[p]
+            # along a line: pairs are sorted by right entry, so the place only moves on
             if last >= 0 and of[last] != f:
                 while n < pair_start[e + 1] and (pair[n, 1] < p or (pair[n, 1] == p and pair[n, 0] < last)):
                     n += 1
@@ -202,6 +211,8 @@ def runs_of(
                     h = stripe[of[last]] + a - _ASIDE - low[last]
                     for b in range(_WAYS):
                         k = stripe[f] + b - _ASIDE - low[p]
+                        # out of order: not infinite, as a light spread over an edge is out of order for a few
+                        # lines
                         if stripe[of[last]] + a >= stripe[f] + b:
                             both[t, a, b] += DISORDER
                             disorder[t, a, b] += 1
@@ -210,8 +221,10 @@ def runs_of(
                         elif 0 <= k < count[p] and 0 <= h < count[last]:
                             c = pair[n, 2] + k * count[last] + h
                             step = weights.surface * surface[c] + weights.unseen * unseen[c]
+                            # capped as neighbours out of reach are
                             both[t, a, b] += min(step, IMPOSSIBLE)
             last = p
+        # last label of its line: what would be seen to its right
         if last >= 0:
             for a in range(_WAYS):
                 k = stripe[of[last]] + a - _ASIDE - low[last]
@@ -230,6 +243,7 @@ def single_shifts(runs: Runs, gain_min: float) -> Integers:
     """
     many = runs.own.shape[0]
     way = np.full(many, _ASIDE, np.int64)
+    # the best single change first, again and again, until none gains enough
     while True:
         gain, best, to = gain_min, -1, 0
         for f in range(many):
@@ -257,6 +271,7 @@ def _runs(
         if k >= count[i]:
             continue
         q = before_entry[i]
+        # the same piece and stripe as on the line before: the run goes on
         if q >= 0 and of[q] >= 0 and piece[peak[q]] == piece[peak[i]] and stripe[of[q]] == low[i] + k:
             of[i] = of[q]
         else:
@@ -269,6 +284,7 @@ def _runs(
 def _edges(runs: int, one: Integers, other: Integers) -> tuple[Integers, Integers]:
     start = np.zeros(runs + 1, np.int64)
     for t in range(one.shape[0]):
+        # counting sort: edges of each run, from both of its ends
         start[one[t] + 1] += 1
         start[other[t] + 1] += 1
     start = np.cumsum(start)
@@ -308,11 +324,13 @@ def shifts_of(runs: Runs, lines: int, gain_min: float) -> tuple[Floats, Integers
     touched = np.zeros(lines + 1, np.int64)
     for f in range(many):
         for k in range(2):
+            # each run as the seed of a shift, both ways
             way[:] = _ASIDE
             cost[f, k] = _shift(f, 2 * k - 1, way, runs, waiting, queued)
             low, high = lines, 0
             for g in range(many):
                 if way[g] != _ASIDE:
+                    # lines that any moved run covers, by a difference array between first and last
                     touched[first[g]] += 1
                     touched[last[g] + 1] -= 1
                     low, high = min(low, first[g]), max(high, last[g])
@@ -321,14 +339,17 @@ def shifts_of(runs: Runs, lines: int, gain_min: float) -> tuple[Floats, Integers
                 inside += touched[e]
                 wide += inside > 0
                 touched[e] = 0
+            # dearer by line: comparable for a small group and a large one
             for g in range(many):
                 if way[g] != _ASIDE:
                     dearer[g] = min(dearer[g], cost[f, k] / wide)
     way[:] = _ASIDE
+    # gains are made in order, the largest first
     for n in np.argsort(cost.ravel(), kind="mergesort"):
         f, k = n // 2, n % 2
         if cost[f, k] > -gain_min:
             break
+        # not moved by an earlier one, and still a gain after those
         if way[f] == _ASIDE:
             tried = way.copy()
             again = _shift(f, 2 * k - 1, tried, runs, waiting, queued)
@@ -345,6 +366,7 @@ def _shift(f: int, by: int, way: Integers, runs: Runs, waiting: Integers, queued
 
     Runs that would have to give way are left out where that costs at most `_SMALL_COST`, and is cheaper.
     """
+    # the seed moves whatever that costs
     cost = _change(f, way[f] + by, way, runs)
     way[f] += by
     more = _ask(f, way, runs, waiting, queued, 0)
@@ -352,12 +374,14 @@ def _shift(f: int, by: int, way: Integers, runs: Runs, waiting: Integers, queued
         more -= 1
         g = waiting[more]
         queued[g] = False
+        # forced where order is broken on more lines than light spreads over
         forced = False
         for n in range(runs.start[g], runs.start[g + 1]):
             t = runs.edge[n]
             forced = forced or runs.disorder[t, way[runs.one[t]], way[runs.other[t]]] > OVERLAP_LINES
         to = way[g] + by
         change = _change(g, to, way, runs)
+        # a small run in the way had better be left out than push all behind it
         if forced and runs.own[g, _OUT] <= _SMALL_COST:
             left_out = _change(g, _OUT, way, runs)
             if left_out < change:
@@ -375,6 +399,7 @@ def _ask(f: int, way: Integers, runs: Runs, waiting: Integers, queued: Flags, si
     one, other, start, edge = runs.one, runs.other, runs.start, runs.edge
     for n in range(start[f], start[f + 1]):
         g = other[edge[n]] if one[edge[n]] == f else one[edge[n]]
+        # already moved or waiting runs are not asked again
         if way[g] == _ASIDE and not queued[g]:
             waiting[size], queued[g] = g, True
             size += 1
@@ -404,5 +429,6 @@ def shift_labels(candidates: Candidates, best: Integers, by: Integers) -> Intege
     for i in range(count.shape[0]):
         k = best[i] - offset[i]
         if k < count[i] and by[i] != 0:
+            # a stripe the entry cannot be: it is left out
             found[i] = best[i] + by[i] if 0 <= k + by[i] < count[i] else offset[i + 1] - 1
     return found

@@ -158,12 +158,14 @@ def build_problem(peaks: Peaks, calibration: Calibration, rest: RestLines, reach
     entries = entries_of(pieces.trace, pieces.of, loose, belt, lines, u_per_px, ties, GAP_LINES)
     # a stripe that is found with probability p, and is not seen, costs −log(1 − p); WEIGHTS.unseen at most
     rows, stripes = peaks.image_size[0], presence.shape[1]
+    # by the image's top and bottom, where nothing can cover the belt
     outer = math.ceil(_OUTER_SHARE * rows)
     found = found_share(peaks.row, rest.line, stripes, rows, outer)
     surprise = np.minimum(-np.log1p(-np.minimum(found, _FOUND_MAX)) / WEIGHTS.unseen, 1.0)
     # a faint stripe's belt may be in pieces too short to follow, and is there all the same
     bare = ((peaks.row < outer) | (peaks.row >= rows - outer)) & (rest.line >= 0)
     seen = np.bincount(rest.line[bare], minlength=stripes)
+    # either way of seeing it is enough
     there = np.where(seen >= _PRESENT_SHARE * outer, 1.0, presence.max(axis=0))
     visible = presence * surprise
     graph = _graph_of(lines, pieces, entries, there, visible, u_per_px, calibration, rest, reach)
@@ -181,6 +183,7 @@ def _graph_of(
     calibration: Calibration, rest: RestLines, reach: float,
 ) -> tuple[Candidates, PairCosts, Floats]:  # fmt: skip
     """Give what each entry may be and what that costs: the last fields of `Problem`."""
+    # what a tolerance of the rest line means in height, by stripe
     slack_mm = rest.tolerance_px / np.abs(calibration.displacement_px_per_mm)
     low_mm, high_mm = calibration.height_range_mm
     # belt that lies on its rest line from the image's border on is no product out of range: that saves time
@@ -194,12 +197,15 @@ def _graph_of(
 def cheapest_labels(problem: Problem) -> Solved:
     """Find the cheapest labels of all entries, and the evidence for them."""
     candidates = problem.candidates
+    # exact on each line; pieces then choose as a whole, and groups are shifted where that is cheaper
     cost = _min_marginals(problem, problem.own)
     best, evidence, moved = _shifted(problem, agreed(problem.entries, candidates, problem.pieces, cost))
+    # nothing was changed by hand: another sweep would find the same
     moved = moved or bool((best != argmin_labels(candidates, cost)).any())
     for _ in range(_ROUNDS):
         if not moved:
             break
+        # the sweeps start from the improved labels, which are made cheaper, so that they must be beaten
         cost = _min_marginals(problem, favour_labels(candidates, best, problem.own, _SHIFT_GAIN))
         best, evidence, moved = _shifted(problem, agreed(problem.entries, candidates, problem.pieces, cost))
     return Solved(best, evidence, cost)
@@ -213,15 +219,18 @@ def _pieces(peaks: Peaks, rest: RestLines, lines: EpipolarLines) -> tuple[Pieces
         peaks.row, peaks.x_px, trace, rest.line, rest.x_px, rest.tolerance_px, rest.offset_px,
         math.ceil(_OUTER_SHARE * rows),
     )  # fmt: skip
+    # a peak alone between bare lines is kept apart from its run: `line + stripes` cuts there
     alone = between_bare(peaks.row, line, stripes, rows, _BARE_ROWS)
     state = np.where(alone, line + stripes, line)
     piece, of_piece = cut_at_rest_lines(trace, state, traces, _BELT_ROWS_MIN, _FLICKER_ROWS)
+    # back to the line's own number
     of_piece = np.where(of_piece >= stripes, of_piece - stripes, of_piece)
     full = int(_PRESENT_SHARE * rows)
     presence = presence_of(
         lines.line, piece, of_piece, lines.enters, lines.leaves, lines.plane.shape[0], full,
         min(_PRESENT_ROWS_MIN, full), _END_LINES, _LOST,
     )  # fmt: skip
+    # after presence is known: cut ends count as belt there
     piece, of_piece, anchored, home = cut_ends(peaks.row, piece, of_piece, rows, _END_ROWS, _BORDER_ROWS)
     light = np.bincount(piece, relative_light(peaks.row_start, peaks.amplitude)) / np.bincount(piece)
     return Pieces(trace, piece, line, of_piece, home, anchored, light), presence
@@ -232,12 +241,14 @@ def _shifted(problem: Problem, best: Integers) -> tuple[Integers, Floats, bool]:
     entries, candidates, own, costs = problem.entries, problem.candidates, problem.own, problem.costs
     moved = False
     for _ in range(_BODY_MOVES_MAX):
+        # moving bodies changes what runs touch, so both are looked at in turn
         best, evidence, shifted, runs = cheapest_shifts(
             entries, candidates, problem.pieces.of, best, own, costs, WEIGHTS
         )
         dearer, by = whole_body_shifts(
             entries, candidates, problem.pieces.line, best, runs, own, costs, WEIGHTS
         )
+        # evidence: the cheaper of a group's and of the whole body's shift
         evidence = np.minimum(evidence, of_entries(runs, dearer, np.inf))
         by = np.where(dearer < -_BODY_GAIN, by, 0)
         moved = moved or shifted or bool(by.any())
@@ -270,6 +281,7 @@ def min_marginals(
     start, many, offset = entries.start, candidates.many, candidates.offset
     size = own.shape[0]
     from_up, from_down = np.zeros(size), np.zeros(size)
+    # costs of labels left out at the line's ends
     first, last = weights.unseen * costs.before, weights.unseen * costs.after
     begin, blocks, back, step = _steps_to(candidates, costs, weights)
     nothing = np.full(size + _WIDE, np.inf)  # no path goes by way of a node that stands for no stripe
@@ -286,15 +298,21 @@ def min_marginals(
             e = k if downwards else lines - 1 - k
             for i in range(start[e], start[e + 1]):
                 for node in range(offset[i], offset[i] + many[i]):
+                    # relative to leaving the entry out, so that leaving out costs 0 and a line's empty
+                    # solution too
                     work.total[node] = own[node] + said[node] - own[offset[i + 1] - 1]
                     work.taken[node] = 0.0
+            # a line's message is spread evenly over its entries: full knowledge at each would be counted
+            # several times
             _share_out(start[e], start[e + 1], many, offset, work)
             for i in range(start[e], start[e + 1]):
+                # each entry hands on its share of the line's cost, by the tie at most
                 if downwards and entries.after[i] >= 0:
                     j = entries.after[i]
                     _hand_on(i, j, entries.tie[j], candidates, work.taken, from_up)
                 elif not downwards and entries.before[i] >= 0:
                     _hand_on(i, entries.before[i], entries.tie[i], candidates, work.taken, from_down)
+    # final costs: own, with both neighbours' messages
     for e in range(lines):
         for i in range(start[e], start[e + 1]):
             for node in range(offset[i], offset[i] + many[i]):
@@ -342,10 +360,13 @@ def _steps_to(
     many, offset, pair = candidates.many, candidates.offset, costs.pair
     entries = many.shape[0]
     begin, blocks, back = np.zeros(entries + 1, np.int64), np.zeros(entries, np.int64), offset[:-1].copy()
+    # back to the first entry it has a pair with: the list is read from its end, so the earliest is written
+    # last
     for n in range(pair.shape[0] - 1, -1, -1):
         back[pair[n, 1]] = offset[pair[n, 0]]
     for p in range(entries):
         blocks[p] = (offset[p] - back[p] + _WIDE - 1) // _WIDE
+        # whole blocks, padded with infinite costs
         begin[p + 1] = begin[p] + many[p] * blocks[p] * _WIDE
     step = np.full(begin[entries], np.float32(np.inf))
     for n in range(pair.shape[0]):
@@ -363,18 +384,22 @@ def _steps_to(
 def _share_out(a: int, b: int, many: Integers, offset: Integers, work: _Work) -> None:
     """Take the cost of a line's entries a to b − 1 apart: evenly from the left, what is left from there."""
     total, taken, forward, backward = work.total, work.taken, work.forward, work.backward
+    # forward and backward costs must be those of the line as it is before anything is taken
     _backwards(a, b, many, offset, work)
     for p in range(a, b):
         _arrive(p, many, offset, work)
+        # min-marginals of entry p, less their least
         least = np.inf
         for node in range(offset[p], offset[p] + many[p]):
             least = min(least, forward[node] + backward[node] - total[node])
+        # the k-th of n takes 1/n of what is left, so that all take the same
         share = 1.0 / (b - p)
         for node in range(offset[p], offset[p] + many[p]):
             part = share * (forward[node] + backward[node] - total[node] - least)
             taken[node] += part
             forward[node] -= part
             total[node] -= part
+    # what is left after the first pass is taken from the right, all of it
     _end(a, b, many, offset, work)
     for p in range(b - 1, a - 1, -1):
         least = np.inf
@@ -410,6 +435,7 @@ def _end(a: int, b: int, many: Integers, offset: Integers, work: _Work) -> None:
 def _arrive(p: int, many: Integers, offset: Integers, work: _Work) -> None:
     """Write the least cost up to each node of entry p, come to from any before it, or as the first."""
     step, forward, least, c = work.step, work.forward, work.least, np.uint64(work.begin[p])
+    # a few lanes side by side: the compiler makes vector instructions of them
     for node in range(offset[p], offset[p] + many[p]):
         at = np.uint64(work.back[p])
         for k in range(_WIDE):
@@ -419,6 +445,7 @@ def _arrive(p: int, many: Integers, offset: Integers, work: _Work) -> None:
                 least[k] = min(least[k], forward[at + k] + step[c + k])
             at += np.uint64(_WIDE)
             c += np.uint64(_WIDE)
+        # as the line's first label
         lowest = work.first[node]
         for k in range(_WIDE):
             lowest = min(lowest, least[k])
@@ -444,9 +471,11 @@ def _hand_on(i: int, j: int, tie: float, candidates: Candidates, taken: Floats, 
     low, count, offset = candidates.low, candidates.many, candidates.offset
     least = np.inf
     for node in range(offset[i], offset[i] + count[i]):
+        # only differences matter; the least of them is 0
         least = min(least, taken[node])
     for b in range(count[j]):
         a = low[j] + b - low[i]
+        # a stripe that the entry above cannot be costs the tie
         said = tie
         if 0 <= a < count[i]:
             said = min(tie, taken[offset[i] + a] - least)
@@ -460,10 +489,12 @@ def _solve_line(
     """Write the line's least cost for each node of its entries a to b − 1, less the least of the entry."""
     step, total, forward, backward = work.step, work.total, work.forward, work.backward
     _backwards(a, b, many, offset, work)
+    # an entry is left out if the line ends before it, begins behind it, or two others step over it
     ended = empty
     for p in range(a, b):
         _arrive(p, many, offset, work)
         cost[offset[p + 1] - 1] = ended
+        # least cost of a line that ended before p
         for node in range(offset[p], offset[p] + many[p]):
             ended = min(ended, forward[node] + work.last[node])
     begun = empty
@@ -475,6 +506,7 @@ def _solve_line(
             cost[node] = forward[node] + backward[node] - total[node]
     for p in range(a, b):  # entries between two are left out
         over, q = np.inf, p
+        # first entry that p may be come to from
         while q > a and offset[q] > work.back[p]:
             q -= 1
         for k in range(q, p - 1):
@@ -483,6 +515,7 @@ def _solve_line(
                 for j in range(many[k]):
                     over = min(over, forward[offset[k] + j] + step[c + j] + backward[node])
                 c += work.blocks[p] * _WIDE
+            # entry k + 1 is stepped over from every entry up to k: `over` keeps the least of these
             cost[offset[k + 2] - 1] = min(cost[offset[k + 2] - 1], over)
     for p in range(a, b):
         least = np.inf
@@ -513,10 +546,12 @@ def agreed(entries: Entries, candidates: Candidates, pieces: Pieces, cost: Float
         stripes = max(stripes, low[i] + count[i])
     gain = np.zeros((piece_line.shape[0], stripes))
     best = np.empty(peak.shape[0], np.int64)
+    # the label for none is the default
     for i in range(peak.shape[0]):
         best[i] = offset[i + 1] - 1
         for k in range(count[i]):
             node = offset[i] + k
+            # capped: one line that forbids a label must not outvote all others
             gain[piece[peak[i]], low[i] + k] += _DEAR - min(cost[node], _DEAR)
             if cost[node] < cost[best[i]]:
                 best[i] = node
@@ -526,6 +561,7 @@ def agreed(entries: Entries, candidates: Candidates, pieces: Pieces, cost: Float
     for i in range(peak.shape[0]):
         f = piece[peak[i]]
         k = stripe[f] - low[i]
+        # pieces decide together, but entries that are cheapest as nothing stay nothing
         if piece_line[f] != ENDS and best[i] < offset[i + 1] - 1:
             best[i] = offset[i] + k if 0 <= k < count[i] else offset[i + 1] - 1
     _put_in_order(entries, candidates, pieces, best)
@@ -539,14 +575,17 @@ def _put_in_order(entries: Entries, candidates: Candidates, pieces: Pieces, best
     piece, piece_line = pieces.of, pieces.rest
     size = np.zeros(piece_line.shape[0], np.int64)
     for i in range(peak.shape[0]):
+        # ends count as size 0: they give way first
         size[piece[peak[i]]] += piece_line[piece[peak[i]]] != ENDS
     for e in range(start.shape[0] - 1):
         last = -1
         for i in range(start[e], start[e + 1]):
             if best[i] - offset[i] >= count[i]:
                 continue
+            # out of order: the stripe to the left is not smaller
             while last >= 0 and low[last] + best[last] - offset[last] >= low[i] + best[i] - offset[i]:
                 before, here = size[piece[peak[last]]], size[piece[peak[i]]]
+                # the smaller one gives way, unless both are large; then it stays for `shifts` and the vetoes
                 if here <= before and here <= _SMALL_ENTRIES:
                     best[i] = offset[i + 1] - 1
                     break
@@ -554,6 +593,7 @@ def _put_in_order(entries: Entries, candidates: Candidates, pieces: Pieces, best
                     break
                 best[last] = offset[last + 1] - 1
                 last -= 1
+                # back to the last entry that still has a label
                 while last >= start[e] and best[last] - offset[last] >= count[last]:
                     last -= 1
                 if last < start[e]:

@@ -93,12 +93,15 @@ def ends_settled(pieces: Pieces, stripe: Integers) -> Floats:
         f = piece[p]
         if stripe[p] < 0 or piece_line[f] == ENDS:
             continue
+        # majority vote in one pass (Boyer and Moore 1991): what more than half of a piece's labels are
+        # survives
         if votes[f] == 0:
             of_piece[f] = stripe[p]
         votes[f] += 1 if of_piece[f] == stripe[p] else -1
     sides = np.full((peaks, 2), -1, np.int64)
     belt = np.zeros((peaks, 2), np.bool_)
     last = np.full(peaks + 1, -1, np.int64)
+    # nearest settled piece of the trace, from above and, in the second round, from below
     for side in range(2):
         last[:] = -1
         for n in range(peaks):
@@ -113,14 +116,18 @@ def ends_settled(pieces: Pieces, stripe: Integers) -> Floats:
     for p in range(peaks):
         if stripe[p] < 0 or piece_line[piece[p]] != ENDS:
             continue
+        # both sides known and alike, none known, one known, or two that differ
         a, b = sides[p]
         if a >= 0 and a == b:
             settled = 1.0 if stripe[p] == a else 0.0
         elif a < 0 and b < 0:
+            # home: the rest line it was cut off from is all there is to go by
             settled = _ONE_SIDE if stripe[p] == home[piece[p]] else 0.0
         elif a < 0 or b < 0:
             settled = _ONE_SIDE if stripe[p] == max(a, b) else 0.0
         else:
+            # belt on one side, body on the other: the row of the change is open, so only what the body says
+            # counts, and only off the belt's line
             here = (stripe[p] == a and not belt[p, 0]) or (stripe[p] == b and not belt[p, 1])
             still = (belt[p, 0] and line[p] == a) or (belt[p, 1] and line[p] == b)
             settled = _ONE_SIDE if here and not still else 0.0
@@ -144,6 +151,7 @@ def claimed(pieces: Pieces, stripe: Integers, stripes: int) -> Integers:
         Number of stripes.
     """
     given = stripe >= 0
+    # one vote for each labelled peak, by piece and stripe
     votes = np.bincount(pieces.of[given] * stripes + stripe[given], minlength=pieces.rest.size * stripes)
     votes = votes.reshape(-1, stripes)
     enough = (votes.max(axis=1) >= _CLAIM_PEAKS) & (pieces.rest != ENDS)
@@ -169,6 +177,7 @@ def out_of_order(entries: Entries, row: Integers, on_line: Integers, stripe: Int
     """
     start, peak = entries.start, entries.peak
     wrong = np.zeros(stripe.shape[0], np.bool_)
+    # along the line the stripe must increase; of two that do not, either may be wrong
     for e in range(start.shape[0] - 1):
         last = -1
         for i in range(start[e], start[e + 1]):
@@ -178,6 +187,7 @@ def out_of_order(entries: Entries, row: Integers, on_line: Integers, stripe: Int
             if last >= 0 and last != p and stripe[last] >= stripe[p]:
                 wrong[last] = wrong[p] = True
             last = p
+    # peaks are sorted by row: the last holder of a stripe is the one in this row or none
     holder = np.full(stripes, -1, np.int64)
     for p in range(stripe.shape[0]):
         s = stripe[p]
@@ -185,11 +195,13 @@ def out_of_order(entries: Entries, row: Integers, on_line: Integers, stripe: Int
             continue
         q = holder[s]
         if q >= 0 and row[q] == row[p]:
+            # the one on its rest line gives way; of two alike both do
             one, other = on_line[q] == s, on_line[p] == s
             wrong[q] = wrong[q] or one or not other
             wrong[p] = wrong[p] or other or not one
             if wrong[p] and not wrong[q]:
                 continue
+        # a marked peak holds no place
         holder[s] = p
     return wrong
 
@@ -217,12 +229,14 @@ def denies_belt(
     if not doubted.any():
         return np.asarray(doubted)
     faint = _faint(body * (stripe.max() + 1) + stripe, doubted, amplitude)
+    # once more without the faint peaks: does the body still deny?
     denied = _denied_lines(entries, line, stripe, np.where(faint, 0, body))
     return np.asarray(doubted & (faint | (denied[body] >= _DENIED_LINES_MIN)))
 
 
 def _faint(cell: Integers, on: Flags, amplitude: Floats) -> Flags:
     """Mark (peak,) peaks far fainter than the median of their cell, a stripe on a body; of some peaks."""
+    # sorted by amplitude within each cell, so that the middle one is the median
     mine = np.flatnonzero(on)
     mine = mine[np.lexsort((amplitude[mine], cell[mine]))]
     _, first, of, count = np.unique(cell[mine], return_index=True, return_inverse=True, return_counts=True)
@@ -243,6 +257,7 @@ def _denied_lines(entries: Entries, line: Integers, stripe: Integers, body: Inte
     denied = np.zeros(highest + 1, np.int64)
     last = np.full(highest + 1, -1, np.int64)
     stripes = max(stripe.max(), line.max()) + 1 if stripe.size else 0
+    # where each stripe on each body begins and ends, sight lines
     begins = np.full((highest + 1, stripes), start.size, np.int64)
     ends = np.full((highest + 1, stripes), -1, np.int64)
     for e in range(start.size - 1):
@@ -253,12 +268,15 @@ def _denied_lines(entries: Entries, line: Integers, stripe: Integers, body: Inte
     for e in range(start.size - 1):
         for i in range(start[e], start[e + 1]):
             p = peak[i]
+            # belt that was left out: it lies on a rest line and has no label
             if line[p] < 0 or stripe[p] >= 0:
                 continue
             for j in range(start[e], start[e + 1]):
                 b, s = body[peak[j]], stripe[peak[j]]
+                # a body that has that very stripe on the same sight line
                 if b == 0 or s != line[p] or last[b] == e:
                     continue
+                # away from the stripe's ends, where light spreads over the edge; once a line
                 if begins[b, s] + OVERLAP_LINES <= e <= ends[b, s] - OVERLAP_LINES:
                     denied[b] += 1
                     last[b] = e
@@ -308,6 +326,7 @@ def _bodies(row: Integers, stripe: Integers, line: Integers, stripes: int, rows:
             number[stripe[p] + 1, row[p] + 1] = 1
     same = np.zeros(row.size + 1, np.int64)
     count = 0
+    # connected components with union-find, row by row
     for s in range(1, stripes + 1):
         for r in range(1, rows + 1):
             if not number[s, r]:
@@ -317,6 +336,7 @@ def _bodies(row: Integers, stripe: Integers, line: Integers, stripes: int, rows:
                 count += 1
                 same[count] = number[s, r] = count
                 continue
+            # two numbers meet: the smaller one stands for both
             one, other = max(above, beside), min(above, beside) or max(above, beside)
             while same[one] != one:
                 one = same[one]
@@ -324,6 +344,7 @@ def _bodies(row: Integers, stripe: Integers, line: Integers, stripes: int, rows:
                 other = same[other]
             same[max(one, other)] = number[s, r] = min(one, other)
     bodies = 0
+    # 'same' now leads to final numbers, written as negative so that they are not taken for links
     for k in range(1, count + 1):  # the first number of a body stands before all others of it
         if same[k] == k:
             bodies += 1
@@ -383,6 +404,8 @@ def pattern_verdicts(
             count = 0
             for r in range(rows):
                 if of[s, r] == number:
+                    # second difference across three stripes: the surface's own bend, and the fan's uneven
+                    # spacing
                     bent = x[s - 1, r] - 2.0 * x[s, r] + x[s + 1, r]
                     if not np.isnan(bent):
                         bend[count], at[count] = bent, r
@@ -396,12 +419,14 @@ def pattern_verdicts(
                     for k in range(count):
                         r = at[k]
                         own[k] = rest_px[t - 1, r] - 2.0 * rest_px[t, r] + rest_px[t + 1, r]
+                    # what the rest lines so many stripes on would explain is taken off
                     left[way, s] = usual - median_of(own[:count])
         # ways in which too few stripes are told tell nothing, and `_much_evener` says so
         for way in range(ways):
             evener[way] = way != _PATTERN_REACH and _much_evener(left[way], left[_PATTERN_REACH])
         for way in range(ways):
             best = evener[way] and shift[number] == 0
+            # it must beat every other number that can be told, not only the one at hand
             for other in range(ways):
                 told = np.count_nonzero(~np.isnan(left[other])) >= _PATTERN_STRIPES_MIN
                 best = best and (other == way or not told or _much_evener(left[way], left[other]))
@@ -423,6 +448,7 @@ def _much_evener(one: Floats, other: Floats) -> bool:
     for k in range(both.size):
         s = both[k]
         sizes[0, k], sizes[1, k] = abs(one[s]), abs(other[s])
+        # steps only between stripes side by side
         if k and s - both[k - 1] == 1:
             steps[0, many], steps[1, many] = abs(one[s] - one[s - 1]), abs(other[s] - other[s - 1])
             many += 1
@@ -460,6 +486,7 @@ def left_over(piece: Integers, stripe: Integers, kept: Integers, share_min: floa
     share_min
         Share of a piece's peaks that must be left.
     """
+    # labels of each piece before and after
     before, after = np.bincount(piece, stripe >= 0), np.bincount(piece, kept >= 0)
     return np.asarray((kept >= 0) & (after < share_min * before)[piece])
 
@@ -477,10 +504,12 @@ def going_on(row: Integers, along: Integers, asked: Flags, doubted: Flags, gap_r
         Over a longer gap nothing goes on, rows.
     """
     which = np.flatnonzero(asked)
+    # along each stripe or trace by row; a gap longer than allowed begins a new group
     which = which[np.lexsort((row[which], along[which]))]
     apart = (np.diff(along[which], prepend=-1) != 0) | (np.diff(row[which], prepend=0) > gap_rows + 1)
     group = np.cumsum(apart)
     found = np.zeros(row.size, np.bool_)
+    # a group with a doubtful peak is doubtful as a whole
     found[which] = np.bincount(group, weights=doubted[which])[group] > 0.0
     return found
 
@@ -512,10 +541,13 @@ def _flat_top_ambiguity(
         for by in (-1, 1):
             for n in range(size):
                 j = n + by  # on the side that the stripes would move to, and off the belt
+                # at least one stripe is missing between n and its neighbour on that side
                 if not 0 <= j < size or (stripe[n] - stripe[j]) * -by < 2:
                     continue
+                # the neighbour must be a body, and one of the missing stripes must be there at all
                 if on_line[peak[kept[j]]] == stripe[j] or not _any_there(there, stripe[n], stripe[j]):
                     continue
+                # moved by one up to as many stripes as are missing
                 for to in range(by, stripe[j] - stripe[n], by):
                     cost, m, belts = 0.0, n, 0
                     while True:
@@ -523,21 +555,28 @@ def _flat_top_ambiguity(
                         belts += on_line[peak[p]] == stripe[m]
                         k = stripe[m] + to - low[p]
                         if k < 0 or k >= count[p]:
+                            # a height that is not possible, or that of no body
                             break
                         node = offset[p] + k
                         if height[node] < _HIGH_SHARE * label_mm[node]:
                             break
                         i = m - by  # the next stripe on the other side
                         other = to if m != n else 0
+                        # what changes towards the side that is already moved, then what changes if the move
+                        # ends here
                         cost += _side(
                             e, m, m + by, to, other, kept, stripe, size, entries, candidates, costs, weights
                         )
                         ended = cost + _side(
                             e, m, i, to, 0, kept, stripe, size, entries, candidates, costs, weights
                         )
+                        # some belt is among the moved, and the whole is hardly dearer: all from n to m may be
+                        # a body's
                         if belts > 0 and ended < _LEVEL_DEARER:
                             for t in range(min(m, n), max(m, n) + 1):
                                 found[peak[kept[t]]] = True
+                        # the next stripe must follow directly, or there is room again and nothing forces it
+                        # along
                         if not 0 <= i < size or (stripe[i] - stripe[m]) * -by != 1:
                             break
                         m = i
@@ -573,8 +612,10 @@ def _pair(
     e: int, q: int, p: int, h: int, k: int, first: int, count: Integers, costs: PairCosts, weights: Weights
 ) -> float:
     """Cost of two neighbours on line e, of their hth and kth possible stripe."""
+    # no costs are kept for neighbours farther apart
     if p - q > _LOOK_BACK:
         return _BROKEN
+    # place of the pair in the list of `pair_costs_of`: the first entries of a line have fewer predecessors
     n, at = costs.pair_start[e], p - first
     whole = min(at, _LOOK_BACK)
     n += whole * (whole - 1) // 2 + max(at - _LOOK_BACK, 0) * _LOOK_BACK
@@ -613,6 +654,7 @@ def on_end(row: Integers, piece: Integers, found: Flags, rows_min: int, rows_bet
         f = piece[p]
         if not found[p]:
             continue
+        # too many rows between: a new run of this piece
         if row[p] - last[f] > rows_between + 1:
             run_of[f], first[runs] = runs, row[p]
             runs += 1

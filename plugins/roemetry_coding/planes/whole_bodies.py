@@ -63,12 +63,14 @@ def whole_body_shifts(
     lines = start.shape[0] - 1
     still = np.empty(lines)
     zero = np.zeros(best.shape[0], np.int64)
+    # lines as they are: what a move changes is compared with them
     for e in range(lines):
         still[e] = _cost_of(e, zero, entries, candidates, best, own, costs, weights)[0]
     move = np.empty(best.shape[0], np.int64)
     crossed = np.empty(lines, np.bool_)
     for b in range(bodies):
         size = 0
+        # the sight lines it crosses; its cost is told per line
         crossed[:] = False
         for e in range(lines):
             for i in range(start[e], start[e + 1]):
@@ -85,9 +87,12 @@ def whole_body_shifts(
                     move[i] = 0
                     if runs.of[i] >= 0 and body[runs.of[i]] == b:
                         move[i] = way * far
+                        # entries for which the moved stripe has no possible height
                         lost += not 0 <= best[i] + move[i] - offset[i] < count[i]
+                # and farther on even more have none
                 if lost > _LOST_SHARE_MAX * size:
                     break
+                # behind the last line it crosses, ties still reach over a gap
                 change, wide, against, last = 0.0, 0, 0, -GAP_LINES - 1
                 for e in range(lines):
                     if crossed[e]:
@@ -98,6 +103,7 @@ def whole_body_shifts(
                         against += disorder > 0
                 if change / wide < least:
                     least, to = change / wide, way * far
+                # farther the same way order is broken as well
                 if against > _AGAINST_SHARE_MAX * wide:
                     break
         for f in range(runs.stripe.shape[0]):
@@ -119,8 +125,10 @@ def _bodies(entries: Entries, line: Integers, runs: Runs) -> tuple[Integers, int
     body, bodies = np.full(many, -1, np.int64), 0
     waiting = np.empty(many, np.int64)
     for first in range(many):
+        # mostly on its rest lines: belt
         if body[first] >= 0 or 2 * on_line[first] > size[first]:
             continue
+        # flood over runs that touch
         body[first], waiting[0], left = bodies, first, 1
         while left > 0:
             left -= 1
@@ -148,6 +156,7 @@ def _cost_of(
         k = best[p] - offset[p]
         if k < count[p]:
             k += move[p]
+        # left out, or no longer possible where it is moved to
         if not 0 <= k < count[p]:
             cost += own[offset[p + 1] - 1]
             continue
@@ -155,6 +164,7 @@ def _cost_of(
         q = before_entry[p]
         if q >= 0:
             h = best[q] - offset[q]
+            # tie to the entry before: only where both are stripes and differ
             if h < count[q] and 0 <= h + move[q] < count[q] and low[q] + h + move[q] != low[p] + k:
                 cost += entries.tie[p]
         if last < 0:
@@ -167,6 +177,7 @@ def _cost_of(
                 costs.pair[n, 1] < p or (costs.pair[n, 1] == p and costs.pair[n, 0] < last)
             ):
                 n += 1
+            # too far apart for costs to be kept
             step = IMPOSSIBLE
             if n < costs.pair_start[e + 1] and costs.pair[n, 1] == p and costs.pair[n, 0] == last:
                 c = costs.pair[n, 2] + k * count[last] + last_k

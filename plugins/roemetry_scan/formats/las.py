@@ -38,10 +38,13 @@ def read(path: Path) -> Measured:
     data = path.read_bytes()
     if data[:4] != b"LASF" or len(data) < 227:
         raise DataError(f"{path}: no LAS header")
+    # offset of the points; then their format, size and number (public header, ASPRS)
     begin = struct.unpack_from("<I", data, 96)[0]
     form, size, count = struct.unpack_from("<BHI", data, 104)
+    # LAZ sets the high bit of the format
     if form & 0x80:
         raise DataError(f"{path}: its points are compressed", hint="name the file .laz")
+    # from version 1.4 on numbers of points are 64 bits; the old field may be 0
     if count == 0 and data[25] >= 4 and len(data) >= 255:
         count = struct.unpack_from("<Q", data, 247)[0]
     if form >= len(_SIZES) or size < _SIZES[form]:
@@ -49,7 +52,9 @@ def read(path: Path) -> Measured:
     there = (len(data) - begin) // size
     if there < count:
         raise DataError(f"{path}: {there} of the {count} points that its header names: it was cut off")
+    # scales before offsets, three of each
     scale, offset = np.frombuffer(data, "<f8", 6, 131).reshape(2, 3)
+    # extra bytes of other programs' files mean something else
     ours = data[26:58].rstrip(b"\0") == _SYSTEM and size == _POINT.itemsize
     kind = _POINT if ours else np.dtype({"names": ["xyz"], "formats": [("<i4", 3)], "itemsize": size})
     points = np.frombuffer(data, kind, count, begin)
@@ -67,8 +72,10 @@ def write(path: Path, measured: Measured) -> list[Path]:
         if values.max(initial=0) > 65535:
             raise DataError(f"{path}: numbers of a {name} go up to {int(values.max())}, 65,535 is the most")
         points[name] = values
+    # offset to the middle, so that whole numbers of 0.1 µm reach ± 200 m
     middle = np.rint(xyz.mean(axis=0))
     points["xyz"] = np.rint((xyz - middle) / _STEP_MM)
+    # return 1 of 1
     points["returns"] = 0b00001001
     described = b"".join(struct.pack("<2xBx32s156x", 3, name.encode()) for name in _EXTRA)  # 3: two bytes
     record = struct.pack("<2x16sHH32s", b"LASF_Spec", 4, len(described), b"extra bytes") + described
@@ -81,6 +88,7 @@ def write(path: Path, measured: Measured) -> list[Path]:
     struct.pack_into("<I", header, 111, len(xyz))
     struct.pack_into("<6d", header, 131, *[_STEP_MM] * 3, *middle)
     low, high = xyz.min(axis=0), xyz.max(axis=0)
+    # largest and smallest of each axis alternate
     struct.pack_into("<6d", header, 179, *(value for pair in zip(high, low, strict=True) for value in pair))
     write_bytes(path, bytes(header) + record + points.tobytes())
     return [path]

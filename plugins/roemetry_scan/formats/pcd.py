@@ -20,6 +20,7 @@ def read(path: Path) -> Measured:
     begin = 0
     while "DATA" not in header:
         end = data.find(b"\n", begin)
+        # a header is short: longer is another file
         if end < 0 or begin > 4096:
             raise DataError(f"{path}: no PCD header")
         words = data[begin:end].decode("ascii", "replace").split()
@@ -39,6 +40,7 @@ def read(path: Path) -> Measured:
         if len(numbers) < count * sum(each):
             raise DataError(f"{path}: {len(numbers) // sum(each)} of {count} points: it was cut off")
         table = np.array(numbers[: count * sum(each)], np.float64).reshape(count, sum(each))
+        # a field may be several numbers; its first counts
         at = {name: table[:, sum(each[:k])] for k, name in enumerate(names)}
     elif form == "binary":
         sizes = zip(names, header["SIZE"], header["TYPE"], each, strict=True)
@@ -51,6 +53,7 @@ def read(path: Path) -> Measured:
     else:
         raise DataError(f"{path}: DATA {form} is not read", hint="save it as ascii or binary")
     xyz = np.column_stack([at[name] for name in "xyz"]).astype(np.float64)
+    # an unorganised cloud has one row
     if height == 1:
         return Measured(xyz)
     return Measured(xyz.reshape(height, width, 3))

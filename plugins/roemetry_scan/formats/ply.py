@@ -33,6 +33,7 @@ def read(path: Path) -> Measured:
             elements.append((line[1], int(line[2]), []))
         elif line[:1] == ["property"]:
             if line[1] == "list":
+                # lists have no fixed size; noted, and refused if they are of vertices
                 elements[-1][2].append((line[-1], ""))
             else:
                 elements[-1][2].append((line[2], _TYPES[line[1]]))
@@ -43,6 +44,7 @@ def read(path: Path) -> Measured:
         raise DataError(f"{path}: vertices have lists")
     if form == "ascii":
         rows = data[begin:].split(b"\n")[:count]
+        # the last line may be empty where the file was cut off
         if len(rows) < count or (count and not rows[-1].strip()):
             raise DataError(
                 f"{path}: {len(rows)} of the {count} points that its header names: it was cut off"

@@ -64,6 +64,7 @@ def profiles_of(measured: Measured, pixel_mm: float | None, name: str) -> Profil
             f"{name}: it is {extent[0]:.3g} × {extent[1]:.3g} mm: these look like micrometres",
             hint="state the unit: `unit: um` in the source's options",
         )
+    # a cloud: mean heights in pixels
     if xyz.ndim == 2:
         xyz = _gridded(points, pixel_mm or _spacing(points), name)
     known = np.asarray(np.isfinite(xyz).all(axis=-1))
@@ -99,10 +100,12 @@ def _sorted(xyz: Floats, known: Flags) -> tuple[Integers, Floats]:
 
 def _plane(points: Floats) -> Floats:
     """Fit X = a + b·Y + c·Z to a slice where it says so; else a plane across X."""
+    # a slice across X leans nowhere that could be told
     if len(points) < 3 or np.ptp(points[:, 0]) < 1e-6:
         return np.array([1.0, 0.0, 0.0, float(np.median(points[:, 0]))])
     design = np.column_stack([np.ones(len(points)), points[:, 1:]])
     a, b, c = np.linalg.lstsq(design, points[:, 0], rcond=1e-9)[0].tolist()
+    # n·X = d with n of length 1
     size = math.sqrt(1.0 + b * b + c * c)
     return np.array([1.0, -b, -c, a]) / size
 
@@ -110,6 +113,7 @@ def _plane(points: Floats) -> Floats:
 def _spacing(points: Floats) -> float:
     """Give the side of the square that each point of a cloud has to itself, mm."""
     area = float(np.prod(np.ptp(points[:, :2], axis=0)))
+    # points fill a part of their rectangle only: a fifth more keeps most pixels lit
     return math.sqrt(max(area, 1e-12) / len(points)) * 1.2
 
 
@@ -120,6 +124,7 @@ def _gridded(points: Floats, pixel_mm: float, name: str) -> Floats:
     if columns * rows > _CELLS_MAX:
         raise DataError(f"{name}: {columns} × {rows} pixels of {pixel_mm:g} mm are too many")
     i = np.minimum(((points[:, 0] - low[0]) / pixel_mm).astype(np.int64), columns - 1)
+    # against Y: rows of an image run down
     j = np.minimum(((high[1] - points[:, 1]) / pixel_mm).astype(np.int64), rows - 1)
     cell: Integers = i * rows + j
     many = np.bincount(cell, minlength=columns * rows)
@@ -151,6 +156,7 @@ def flat(measured: Measured) -> tuple[Floats, Integers, Integers]:
 
 def from_flat(xyz: Floats, slices: Any, places: Any) -> Measured:
     """Give what `flat` was made of; a cloud where slices are not told."""
+    # fewer than three points in any slice are no slices
     if slices is None or places is None or not len(slices) or int(places.max()) < 2:
         return Measured(xyz)
     slices, places = np.asarray(slices, np.int64), np.asarray(places, np.int64)

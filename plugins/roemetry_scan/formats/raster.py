@@ -67,6 +67,7 @@ def read(path: Path) -> Measured:
     if told is None:
         raise ConfigurationError(faults)
     numbers = _array(path)
+    # letters of the format: which coordinates a pixel holds
     channels = told.pixel_format.removeprefix("Coord3D_").rstrip("0123456789f")
     wanted = 2 if channels == "C" else 3
     if numbers.ndim != wanted or (wanted == 3 and numbers.shape[2] != len(channels)):
@@ -98,6 +99,7 @@ def _array(path: Path) -> Any:
         found = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if whole else None
         if found is None:
             raise DataError(f"{path}: not a whole PNG image")
+        # OpenCV has blue first
         if found.ndim == 3:
             found = found[..., ::-1]
         return found
@@ -132,6 +134,7 @@ def write(path: Path, measured: Measured) -> list[Path]:
             raise DataError(f"{path}: no point was seen, there is nothing to write")
         low = known.min(axis=0)
         scale = np.maximum(np.ptp(known, axis=0) / 65533.0, 1e-6)
+        # steps from 1 to 65,534; 0 is kept for what is not known
         grey = np.where(np.isfinite(xyz), np.rint((xyz - low) / scale) + 1.0, 0.0).astype(np.uint16)
         told = {"pixel_format": "Coord3D_ABC16", "no_data": 0}
         told |= {

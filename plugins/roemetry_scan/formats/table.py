@@ -32,6 +32,7 @@ def read(path: Path) -> Measured:
             raise DataError(f"{path}, line {number}: not numbers: {','.join(line)[:60]}") from None
         if len(line) != len(names):
             raise DataError(f"{path}, line {number}: {len(line)} values for {len(names)} columns")
+    # other programs may leave the last end of line out; ours never does
     if "point" in names and not content.endswith("\n"):  # `write` ends each line
         raise DataError(
             f"{path}, line {len(rows) + 1}: the last line is not ended: the file is cut off",

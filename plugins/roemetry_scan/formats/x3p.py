@@ -29,6 +29,7 @@ def read(path: Path) -> Measured:
             if "main.xml" not in names:
                 raise DataError(f"{path}: there is no main.xml in it")
             text = archive.read(names["main.xml"])
+            # entities can make a small file endless (billion laughs)
             if b"<!DOCTYPE" in text or b"<!ENTITY" in text:
                 raise DataError(f"{path}: main.xml declares entities: no X3P file does")
             tree = ElementTree.fromstring(text)
@@ -41,6 +42,7 @@ def read(path: Path) -> Measured:
             data = archive.read(member)
     except (zipfile.BadZipFile, ElementTree.ParseError, EOFError) as error:
         raise DataError(f"{path}: not an X3P file, or damaged: {error}") from error
+    # a checksum that is left out is not missed
     wanted = _text(tree, "MD5ChecksumPointData", "")
     if wanted and hashlib.md5(data, usedforsecurity=False).hexdigest().upper() != wanted.upper():
         raise DataError(f"{path}: the heights' checksum is another one than main.xml says: damaged")
@@ -49,6 +51,7 @@ def read(path: Path) -> Measured:
         raise DataError(f"{path}: {layers} layers, expected one")
     axes = [_axis(tree, f"C{axis}") for axis in "XYZ"]
     kinds = [np.dtype(_TYPES[_text(one, "DataType", "D")]) for one in axes]
+    # absolute axes: each point has its own X and Y; else they are steps of the number
     own = _text(axes[0], "AxisType", "I") == _text(axes[1], "AxisType", "I") == "A"
     whole = np.dtype([(str(k), kind) for k, kind in enumerate(kinds)] if own else [("2", kinds[2])])
     if len(data) != columns * rows * whole.itemsize:

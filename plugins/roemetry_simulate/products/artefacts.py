@@ -166,6 +166,7 @@ def staircase(options: StaircaseOptions, pose: Pose) -> Solid:
 def wedge(options: WedgeOptions, pose: Pose) -> Solid:
     """Return the wedge: visible = true = length · width · mean height."""
     a, b, low, high = options.length_mm, options.width_mm, options.low_height_mm, options.high_height_mm
+    # the top is a plane through the mean height in the middle
     slope = (high - low) / a
     top = plane((-slope, 0.0, 1.0), 0.5 * (low + high))
     part = [*box((-a / 2, a / 2), (-b / 2, b / 2), (0.0, high))[:5], top]
@@ -179,6 +180,7 @@ def sphere(options: SphereOptions, pose: Pose) -> Solid:
     h = 2.0 * r if options.height_mm is None else options.height_mm
     part = [ball(0.0, 0.0, h - r, r), plane((0.0, 0.0, -1.0), 0.0)]
     true = math.pi * h * h * (3.0 * r - h) / 3.0
+    # over the widest circle a ball's columns are filled down to the belt
     visible = true if h <= r else math.pi * r * r * (2.0 / 3.0 * r + h - r)
     rim = r if h >= r else math.sqrt(h * (2.0 * r - h))
     extent = (pose.x_mm - rim, pose.x_mm + rim, pose.y_mm - rim, pose.y_mm + rim)

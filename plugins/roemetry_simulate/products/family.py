@@ -108,6 +108,7 @@ class ProductFamily:
 
 def random_of(seed: int, family: str) -> np.random.Generator:
     """Return a family's own source of random numbers for a seed."""
+    # by the name, so that a family's draws do not depend on others'
     return np.random.default_rng([seed, *family.encode()])
 
 
@@ -156,6 +157,7 @@ def changed(height_mm: Floats, inside: Floats, change_mm: Floats) -> Floats:
     """
     # the change dies out at the rim, where the outline is
     change = change_mm * (1.0 - (1.0 - np.clip(inside / 0.35, 0.0, 1.0)) ** 2)
+    # least share subtracted first, so that what is smoothed goes to 0 there
     share = 1.0 + change / np.maximum(height_mm, 1e-9) - _LEAST_SHARE
     # no deeper than a small share of the dome, approached smoothly
     share = _LEAST_SHARE + 0.5 * (share + np.hypot(share, 0.15))

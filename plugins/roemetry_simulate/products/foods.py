@@ -1,4 +1,14 @@
-"""Populations of foods: bread rolls, eggs, fillets, potatoes, with their defects."""
+"""Populations of foods: bread rolls, eggs, fillets, potatoes, with their defects.
+
+Model. A food is a gridded body (`roemetry_simulate.solid`) over q(u, v) of its own frame, above 0 on the
+footprint and 0 at its edge: the top is rim + dome · √(q (1 + fullness (1 − q))) and the underside rim − rim ·
+√(1 − (1 − q)^power), half an ellipse for a power of 1 and flatter for more. Outlines are superellipses that a
+family bends its own way. A relief of filtered noise and a defect, a dent (a bell of finite extent) or a
+furrow (a Gaussian across a straight line), are added to the top.
+
+Sizes are uniform over ranges that look like the food; the seed draws all of it. What a family is not:
+overhanging sides, wrinkles finer than the grid, pieces that touch.
+"""
 
 from __future__ import annotations
 
@@ -127,14 +137,17 @@ def _shape(form: Form, change: Function | None, pose: Pose, step_mm: float, seed
     columns, rows = math.ceil(half_x / step_mm), math.ceil(half_y / step_mm)
     x, y = np.meshgrid(step_mm * np.arange(-columns, columns + 1), step_mm * np.arange(-rows, rows + 1))
     u, v = c * x + s * y, c * y - s * x
+    # far outside nothing depends on it
     q = np.maximum(form.q(u, v), -1.0)
     inside = np.clip(q, 0.0, 1.0)
     dome = form.dome(u, v)
+    # an ellipse's height, fuller by `fullness`
     top = dome * np.sqrt(inside * (1.0 + form.fullness * (1.0 - inside)))
     if form.relief_mm > 0.0:
         top = np.maximum(top + _relief_mm(form, seed, u, v) * inside, 0.3 * top)
     if change is not None:
         top = changed(top, inside, change(u, v))
+    # beyond the rim the square goes on with the same slope: the outline is smooth
     u_top = np.where(q > 0.0, top**2, dome**2 * q * (1.0 + form.fullness))
     below = form.rim_mm**2
     u_bottom = np.where(q > 0.0, below * (1.0 - (1.0 - inside) ** form.power), form.power * below * q)
@@ -148,6 +161,7 @@ def _relief_mm(form: Form, seed: int, u: Floats, v: Floats) -> Floats:
     from scipy.ndimage import map_coordinates
 
     pitch = form.relief_period_mm / 5.0
+    # a grid of its own in the food's frame, five nodes a period
     rows, columns = (math.ceil(half / pitch) + 3 for half in (form.half_width_mm, form.half_length_mm))
     noise = smooth_noise(np.random.default_rng([seed, 7]), (2 * rows + 1, 2 * columns + 1), 5.0)
     relief: Floats = map_coordinates(noise, [v / pitch + rows, u / pitch + columns], order=3, mode="nearest")
@@ -315,6 +329,7 @@ def _make_potato(seed: int, options: PotatoOptions) -> Drawn:
         return np.asarray(1.0 + np.sum(lumps, axis=0), dtype=np.float64)
 
     def q(u: Floats, v: Floats) -> Floats:
+        # thicker towards one end, at most as wide as the width
         across = v / (b * (1.0 + thick_end * np.clip(u / a, -1.0, 1.0)) / (1.0 + abs(thick_end)))
         inner: Floats = 1.0 - (np.abs(u / a) ** blunt + np.abs(across) ** blunt) / radius(u, v) ** blunt
         return inner

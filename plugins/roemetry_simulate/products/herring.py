@@ -119,26 +119,33 @@ def build(record: SkeinRecord, step_mm: float = GRID_STEP_MM) -> Skein:
     a, v = mid_line_coordinates(record, x, y)
     inner = np.clip(a, -1.0, 1.0)
     half_width = 0.5 * record.width_mm * (1.0 + record.thick_end * inner)
+    # 1 on the mid-line's middle, 0 on the outline, negative beyond
     q = 1.0 - np.abs(a) ** record.bluntness - (v / half_width) ** 2
+    # far outside nothing depends on it, and squares stay small
     q = np.maximum(q, -1.0)
 
     slim = (1.0 + record.thick_end * inner) * (1.0 - record.taper * inner**2)
     rim = record.rim_height_mm * (1.0 - 0.3 * inner**2)
     gap = record.air_gap_mm * (1.0 - inner**2)
+    # at least 2 mm of dome over the rim, however thin the skein
     dome = np.maximum(record.thickness_mm - record.rim_height_mm - record.air_gap_mm, 2.0) * slim
     mid = rim + gap
 
     inside = np.clip(q, 0.0, 1.0)
+    # a seed of its own for each random part: more draws in one change no other
     rng = np.random.default_rng([record.seed, 7])
     relief = record.relief_mm * smooth_noise(rng, (x.shape[0], x.shape[1]), 3.0 / step_mm)
     height = dome * np.sqrt(inside * (1.0 + record.fullness * (1.0 - inside)))
+    # relief dies out towards the rim, and never makes a hole
     height = np.maximum(height + relief * inside, 0.3 * height)
+    # continues the square through the rim with the same slope, so that the outline is smooth
     outside = dome**2 * q * (1.0 + record.fullness)
 
     low = record.underside_power
     u_bottom = np.where(q > 0.0, rim**2 * (1.0 - (1.0 - inside) ** low), low * rim**2 * q)
 
     def solid(top: Floats, limit: Floats) -> GriddedSolid:
+        # a wall (of a broken skein) cuts both squares
         u_top = np.where(q > 0.0, top**2, outside)
         layers = np.stack([mid, np.minimum(u_top, limit), np.minimum(u_bottom, limit)], axis=-1)
         return GriddedSolid(float(x[0, 0]), float(y[0, 0]), step_mm, layers)
@@ -162,6 +169,7 @@ def mid_line_coordinates(record: SkeinRecord, x_mm: Floats, y_mm: Floats) -> tup
         return _along_s(record, along, across)
     # an arc of the given length that turns by bend_deg, its middle shifted so that it stays centred
     radius = record.length_mm / np.deg2rad(record.bend_deg)
+    # the bow's height; its middle is moved so that the bent skein stays centred
     sagitta = radius * (1.0 - np.cos(np.deg2rad(record.bend_deg) / 2.0))
     down = radius - (across + 0.6 * sagitta)
     distance = np.hypot(along, down)
@@ -187,6 +195,7 @@ def _along_s(record: SkeinRecord, along: Floats, across: Floats) -> tuple[Floats
 
 def _grid(record: SkeinRecord, step_mm: float) -> tuple[Floats, Floats]:
     """Grid nodes that cover the footprint with a margin, aligned to multiples of the step."""
+    # a first, coarse look at where the skein lies, before the fine grid is made
     reach = 0.5 * record.length_mm + 3.0
     coarse = np.arange(-reach, reach + 1.0, 1.0)
     x, y = np.meshgrid(coarse + record.centre_x_mm, coarse + record.centre_y_mm)
@@ -237,6 +246,7 @@ def _dent(record: SkeinRecord, height_mm: Floats, a: Floats, v_mm: Floats) -> Fl
     """Return a smooth hollow of limited extent."""
     along, across = _place(record, a, v_mm)
     r2 = (2.0 * along / record.defect_length_mm) ** 2 + (2.0 * across / record.defect_width_mm) ** 2
+    # bell of finite extent, smooth at its edge
     hollow: Floats = -record.defect_depth_mm * np.clip(1.0 - r2, 0.0, 1.0) ** 2
     return hollow
 
@@ -274,6 +284,7 @@ def _crease(record: SkeinRecord, height_mm: Floats, a: Floats, v_mm: Floats) -> 
     along, _ = _place(record, a, v_mm)
     slant = np.tan(np.deg2rad(0.5 * record.defect_angle_deg))
     inner = np.sign(record.bend_deg) * v_mm / (0.5 * record.width_mm)
+    # the inner side of the bend has too much skin: there it wrinkles
     share = 0.5 + 0.5 * np.tanh(2.0 * inner)
     sigma = 0.2 * record.defect_length_mm + 0.6
     wrinkle: Floats = -record.defect_depth_mm * share * np.exp(-0.5 * ((along - slant * v_mm) / sigma) ** 2)
@@ -282,11 +293,13 @@ def _crease(record: SkeinRecord, height_mm: Floats, a: Floats, v_mm: Floats) -> 
 
 def _twist(record: SkeinRecord, height_mm: Floats, a: Floats, v_mm: Floats) -> Floats:
     """Return a lean of the ridge to one side, then the other, with a furrow that winds along."""
+    # winds along: 2.2 rad from the middle to an end
     phase = np.deg2rad(record.defect_angle_deg) + 2.2 * a
     half = 0.5 * record.width_mm
     furrow = v_mm - 0.45 * half * np.sin(phase)
     sigma = 0.12 * record.defect_width_mm + 1.2
     side = np.clip(v_mm / half, -1.0, 1.0)
+    # odd across, nothing at ridge and rims: a lean
     lean = -0.9 * record.defect_depth_mm * np.sin(phase) * side * (1.0 - side**2)
     wound: Floats = lean - 0.8 * record.defect_depth_mm * np.exp(-0.5 * (furrow / sigma) ** 2)
     return wound
@@ -298,9 +311,11 @@ def _fold(record: SkeinRecord, height_mm: Floats, a: Floats, v_mm: Floats) -> Fl
     side = 1.0 if record.defect_along >= 0.0 else -1.0
     angle = np.deg2rad(40.0 + 0.6 * record.defect_angle_deg)
     d = side * along * np.cos(angle) + across * np.sin(angle)
+    # a step over some millimetres, which falls off behind it
     lip = 0.5 * record.defect_depth_mm * (1.0 + np.tanh(d / 1.2))
     back = np.exp(-np.maximum(d, 0.0) / 14.0)
     groove = 0.7 * record.defect_depth_mm * np.exp(-0.5 * ((d + 2.4) / 1.8) ** 2)
+    # a flap lies over at most 0.6 of the dome
     flap: Floats = np.minimum(lip * back, 0.6 * height_mm) - groove
     return flap
 
@@ -328,6 +343,7 @@ def draw(seed: int, kind: str | None = None) -> SkeinRecord:
         known = ", ".join(KINDS + FURTHER_KINDS)
         raise ValueError(f"no kind of skein is called {kind!r}; there are {known}")
     rng = np.random.default_rng([seed, 3])
+    # drawn even where the kind is given, so that a seed's other numbers do not depend on it
     drawn = str(rng.choice(KINDS, p=KIND_SHARES))
     kind = drawn if kind is None else kind
     between = rng.uniform
@@ -409,6 +425,7 @@ class HerringRoeOptions(PopulationOptions):
 def _make(seed: int, options: HerringRoeOptions) -> Drawn:
     record = draw(seed, pick(random_of(seed, "herring-roe"), options.kinds))
     record = replace(
+        # `draw` has its own ranges; the options scale them
         record,
         yaw_deg=record.yaw_deg * (options.turn_range_deg / _DRAWN_TURN_DEG),
         centre_x_mm=record.centre_x_mm * (options.offset_range_x_mm / _DRAWN_X_MM),
@@ -429,6 +446,7 @@ def _underside_in_range(record: SkeinRecord) -> SkeinRecord:
     for _ in range(20):
         solid = build(record, _COARSE_MM).solid
         lost = 1.0 - solid.true_volume_mm3 / solid.visible_volume_mm3
+        # a rounder underside takes less away, a flatter one more
         if lost < _LEAST_LOST + 0.001:
             record = replace(record, underside_power=0.93 * record.underside_power)
         elif lost > _MOST_LOST - 0.001:

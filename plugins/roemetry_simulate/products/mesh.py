@@ -93,6 +93,7 @@ def build_tree(corners_mm: Floats) -> Tree:
     order, boxes, links = _sort(np.ascontiguousarray(corners_mm, dtype=np.float64))
     sorted_mm = corners_mm[order]
     first = sorted_mm[:, 0]
+    # one corner and both edges from it
     rows = np.concatenate([first, sorted_mm[:, 1] - first, sorted_mm[:, 2] - first], axis=1)
     tree = Tree(np.ascontiguousarray(rows), boxes, links)
     for array in tree:
@@ -150,10 +151,13 @@ def close(mesh: Triangles, mm_per_unit: float = 1.0, up: str = "z", name: str = 
     points, faces = check_closed(mesh, name)
     corners = points[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # faces without area have no normal
     corners = mm_per_unit * corners[np.any(across != 0.0, axis=1)] @ np.array(_UP[up], dtype=np.float64).T
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     corners -= np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
+    # signed tetrahedra from the origin to each face (divergence theorem)
     volume = float(np.einsum("ti,ti->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0)
+    # faces look inwards: turned inside out
     if volume < 0.0:
         corners, volume = np.ascontiguousarray(corners[:, ::-1]), -volume
     visible, area = _visible(corners)
@@ -172,12 +176,14 @@ def _visible(corners_mm: Floats) -> tuple[float, float]:
     """Visible volume (mm³) and footprint (mm²) of triangles that stand on z = 0 about their own origin."""
     low, high = corners_mm.min(axis=(0, 1))[:2], corners_mm.max(axis=(0, 1))[:2]
     size = high - low
+    # as many rays as are wanted, evenly over the box
     step = math.sqrt(float(size[0] * size[1]) / _RAYS)
     columns, rows = (max(math.ceil(side / step), 1) for side in size)
     step_x, step_y = size[0] / columns, size[1] / rows
     top = np.full((rows, columns), -1.0)
     _rasterise(top, np.ascontiguousarray(corners_mm), low[0], low[1], step_x, step_y)
     cell = float(step_x * step_y)
+    # cells where the top was never raised are outside the footprint
     return float(top[top > 0.0].sum()) * cell, float((top >= 0.0).sum()) * cell
 
 
@@ -187,6 +193,7 @@ def _rasterise(top: Floats, corners: Floats, x0: float, y0: float, step_x: float
     rows, columns = top.shape
     for k in range(corners.shape[0]):
         a, b, c = corners[k, 0], corners[k, 1], corners[k, 2]
+        # twice the area seen from above; 0: the face stands upright
         turn = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         if turn == 0.0:
             continue
@@ -198,6 +205,7 @@ def _rasterise(top: Floats, corners: Floats, x0: float, y0: float, step_x: float
             y = y0 + (j + 0.5) * step_y - a[1]
             for i in range(max(i0, 0), min(i1, columns - 1) + 1):
                 x = x0 + (i + 0.5) * step_x - a[0]
+                # barycentric coordinates of the cell's middle
                 u = (x * (c[1] - a[1]) - y * (c[0] - a[0])) / turn
                 v = (y * (b[0] - a[0]) - x * (b[1] - a[1])) / turn
                 if u >= -1e-12 and v >= -1e-12 and u + v <= 1.0 + 1e-12:
@@ -236,22 +244,26 @@ def hit_triangles(
 ) -> float:
     """Distance (mm) from o along d to the first triangle, from either side and within t_max, or MISS."""
     best, found = t_max, MISS
+    # reciprocals once a ray: slabs are then products
     ix, iy, iz = _inverse(d[0]), _inverse(d[1]), _inverse(d[2])
     node = 0
     while node < boxes.shape[0]:
         box = boxes[node]
         one, two = (box[0] - o[0]) * ix, (box[3] - o[0]) * ix
+        # the interval in which the ray is within the box's sides, one pair after another (slabs)
         near, far = max(0.0, min(one, two)), min(best, max(one, two))
         one, two = (box[1] - o[1]) * iy, (box[4] - o[1]) * iy
         near, far = max(near, min(one, two)), min(far, max(one, two))
         one, two = (box[2] - o[2]) * iz, (box[5] - o[2]) * iz
         near, far = max(near, min(one, two)), min(far, max(one, two))
+        # missed: on to the node behind all that hang below
         if near > far:
             node = links[node, 0]
             continue
         first, count = links[node, 1], links[node, 2]
         for k in range(first, first + count):
             t = _hit(triangles[k], o, d)
+            # hits from either side: a shadow ray may start inside
             if 0.0 <= t <= best:
                 best, found = t, t
         node += 1
@@ -269,6 +281,7 @@ def triangles_normal(
         box = boxes[node]
         outside = False
         for m in range(3):
+            # the point lies on the skin up to rounding
             outside |= point[m] < box[m] - 1e-4 or point[m] > box[m + 3] + 1e-4
         if outside:
             node = links[node, 0]
@@ -295,6 +308,7 @@ def vertical_heights(tree: Tree, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Highest and lowest point of the triangles on vertical lines, shape of x; NaN where there is none."""
     top, bottom = np.full(x.size, np.nan), np.full(x.size, np.nan)
     o, d = np.zeros(3), np.zeros(3)
+    # from just above and below the whole body
     low, high = tree.boxes[0, 2] - 1.0, tree.boxes[0, 5] + 1.0
     for k in range(x.size):
         o[0], o[1], o[2], d[2] = x[k], y[k], high, -1.0
@@ -318,6 +332,7 @@ def _across(p: Floats) -> tuple[float, float, float]:
 def _hit(p: Floats, o: Floats, d: Floats) -> float:
     """Distance to a triangle, or MISS."""
     hx, hy, hz = d[1] * p[8] - d[2] * p[7], d[2] * p[6] - d[0] * p[8], d[0] * p[7] - d[1] * p[6]
+    # Möller and Trumbore (1997): triple products instead of a plane
     turn = p[3] * hx + p[4] * hy + p[5] * hz
     if turn == 0.0:
         return MISS
@@ -342,6 +357,7 @@ def _inverse(d: float) -> float:
 def _sort(corners: Floats) -> tuple[Integers, Floats, Integers]:
     """Order of the triangles, boxes and links of the tree: halves by the median of the longest side."""
     total = corners.shape[0]
+    # number of nodes of a tree over n triangles, for the jumps
     sizes = np.ones(total + 1, dtype=np.int64)
     for n in range(_LEAF + 1, total + 1):
         sizes[n] = 1 + sizes[n // 2] + sizes[n - n // 2]
@@ -352,6 +368,7 @@ def _sort(corners: Floats) -> tuple[Integers, Floats, Integers]:
     while len(waiting) > 0:
         node, start, end = waiting.pop()
         count = end - start
+        # box of the triangles, wider by a margin
         for m in range(3):
             low, high = 1e300, -1e300
             for k in range(start, end):
@@ -363,6 +380,7 @@ def _sort(corners: Floats) -> tuple[Integers, Floats, Integers]:
         if count <= _LEAF:
             links[node, 2] = count
             continue
+        # halved along its longest side, by the middles' median
         axis = np.argmax(boxes[node, 3:] - boxes[node, :3])
         middles = np.empty(count)
         for k in range(count):
@@ -370,6 +388,7 @@ def _sort(corners: Floats) -> tuple[Integers, Floats, Integers]:
             middles[k] = p[0, axis] + p[1, axis] + p[2, axis]
         order[start:end] = order[start:end][np.argsort(middles)]
         half = start + count // 2
+        # the left child comes next, the right one behind its whole subtree
         waiting.append((node + 1 + sizes[count // 2], half, end))
         waiting.append((node + 1, start, half))
     return order, boxes, links

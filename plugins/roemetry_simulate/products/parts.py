@@ -107,9 +107,11 @@ def placed(parts: Sequence[Sequence[Surface]], pose: Pose) -> Floats:
     rows: list[list[float]] = []
     for number, surfaces in enumerate(parts):
         for xx, yy, zz, xy, xz, yz, *linear, constant in surfaces:
+            # g = XᵀQX + l·X + k, with the mixed terms halved on both sides of Q
             square = np.array([[xx, xy / 2, xz / 2], [xy / 2, yy, yz / 2], [xz / 2, yz / 2, zz]])
             line = np.array(linear)
             q = turn.T @ square @ turn
+            # X = turn · belt + shift, put into g
             b = turn.T @ (2.0 * square @ shift + line)
             k = shift @ square @ shift + line @ shift + constant
             upper = [q[0, 0], q[1, 1], q[2, 2], 2 * q[0, 1], 2 * q[0, 2], 2 * q[1, 2]]
@@ -130,15 +132,19 @@ def _span(f: Floats, ox: float, oy: float, oz: float, dx: float, dy: float, dz: 
         + f[7] * dx + f[8] * dy + f[9] * dz
     )  # fmt: skip
     c = _value(f, ox, oy, oz)
+    # coefficients of g along the line: a t² + b t + c
     if a > _PARALLEL:
+        # b² < 4 a c: the line passes beside
         root = b * b - 4.0 * a * c
         if root < 0.0:
             return 1.0, -1.0
+        # the root that does not cancel, the other from c / q
         q = -0.5 * (b + math.copysign(math.sqrt(root), b))
         if q == 0.0:
             return 0.0, 0.0
         one, two = q / a, c / q
         return min(one, two), max(one, two)
+    # flat along the line: a half-line, or all or nothing
     if abs(b) <= _PARALLEL:
         return (-1e300, 1e300) if c <= 0.0 else (1.0, -1.0)
     if b > 0.0:
@@ -163,12 +169,14 @@ def _vertical(surfaces: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         i = 0
         while i < surfaces.shape[0]:
             part = surfaces[i, 0]
+            # a convex part meets a line in one interval: the intersection of its surfaces' own
             low, high = -1e300, 1e300
             while i < surfaces.shape[0] and surfaces[i, 0] == part:
                 near, far = _span(surfaces[i], x[k], y[k], 0.0, 0.0, 0.0, 1.0)
                 low, high = max(low, near), min(high, far)
                 i += 1
             if low <= high:
+                # union of parts: the highest and the lowest of all
                 top[k] = high if not top[k] >= high else top[k]
                 bottom[k] = low if not bottom[k] <= low else bottom[k]
     return top, bottom
@@ -195,6 +203,7 @@ def hit_parts(surfaces: Floats, bounds: Floats, o: Floats, d: Floats, t_max: flo
             i += 1
         if low > high or high < 0.0:
             continue
+        # from inside, the far side is the hit
         t = low if low >= 0.0 else high
         if t <= t_max and (best < 0.0 or t < best):
             best = t
@@ -216,6 +225,7 @@ def parts_normal(surfaces: Floats, point: Floats, normal: Floats) -> None:
             gy = 2.0 * f[2] * y + f[4] * x + f[6] * z + f[8]
             gz = 2.0 * f[3] * z + f[5] * x + f[6] * y + f[9]
             length = math.sqrt(gx * gx + gy * gy + gz * gz)
+            # the surface that bounds the part most tightly here is the one the point lies on
             away = _value(f, x, y, z) / max(length, 1e-300)
             if away > most:
                 most, nx, ny, nz = away, gx / length, gy / length, gz / length
