@@ -19,7 +19,7 @@ import math
 
 import numpy as np
 
-from roemetry.records.arrays import Flags, Floats, Labels
+from roemetry.records.arrays import Flags, Floats, Integers, Labels
 from roemetry_kernels.compiling import float_kernel, inlined
 
 POINTS = 30
@@ -191,92 +191,146 @@ def _along_slices(xyz: Floats, label: Labels, added: Flags, plane: Floats, rims:
 def rims_of(xyz: Floats, label: Labels, added: Flags, products: int, first: int = 1) -> tuple[Floats, Floats]:
     """Give (product + 1,) the height of each one's rim, and (product + 1, row) that of its sections by rows.
 
-    NaN where belt is seen right beside too few of them. Of each row, the rim is where the conic of its outer
-    points ends at the row's edge, which is half a spacing inside the first belt, on the mean over many rows:
-    an edge lies anywhere between two lines. With u points too dim between the last one and the belt, that is
-    u + 1/2 spacings beyond it. All the points that tell how a flank goes on tell the rim with it, so an edge
-    that is off by a tenth of a millimetre lifts the rim by little more; the first two points alone, formerly,
-    lifted it by four times as much. The last point is left out: of a sheet of light that reaches beyond the
-    rim only its upper part is seen, which lifts that point by up to 0.3 mm. Rows with few dim points alone
-    would be those whose last point lies far from the rim by chance; so all rows of a side count if most have
-    no more than `_DIM_MOST`, and of the other side, which shadow hides, those with one at most. With `first`
-    0 the last point counts, too.
+    NaN where belt is seen right beside too few of them. The rim is the height at which the conics of rows'
+    outer points end where the rows do, on the mean over rows: the edge of one row lies anywhere between its
+    last line and the first line of belt. Lengths are averaged, not rims: a conic is longer by about as much
+    as its rim is lower, while a rim rises as the root of what an edge is off. The last point is left out: of
+    a sheet of light that reaches beyond the rim only its upper part is seen, which lifts that point by up to
+    0.9 mm. With `first` 0 it counts, too.
+
+    Only the side counts on which fewer points are missing between product and belt. On the other one the belt
+    reappears behind a shadow, which says nothing of an edge; thin products have short ones.
 
     What a row shows lies in a plane that leans towards the camera, the more the farther to the side. Its
     section of a body ends above the body's rim there; the slices' planes, which stand upright, end at that of
     the middle half of the rows.
     """
-    slices, points = label.shape
-    found, count = np.full((products + 1, 2 * points), np.nan), np.zeros(products + 1, np.int64)
-    at = np.zeros((products + 1, 2 * points))
-    for way in (1, -1):
-        few, all_rows = np.zeros(products + 1, np.int64), np.zeros(products + 1, np.int64)
-        for asked in (True, False):
-            for k in range(points):
-                unseen = slices
-                for i in range(slices - 1):
-                    m = i if way == 1 else slices - 1 - i
-                    number = label[m, k]
-                    if number == 0:
-                        unseen = 0
-                    elif number < 0 or added[m, k]:
-                        unseen += 1
-                    else:
-                        # the outermost point of the row on this side, with belt beside it
-                        if asked:
-                            all_rows[number] += unseen < slices
-                            few[number] += unseen <= _DIM_MOST
-                        else:
-                            most = _DIM_MOST if 2 * few[number] > all_rows[number] else 1
-                            one, two = m + first * way, m + (first + 1) * way
-                            inside = 0 <= two < slices and label[one, k] == number and label[two, k] == number
-                            if unseen <= most and inside and count[number] < 2 * points:
-                                rim = _rim_of_row(xyz, label, added, m, k, way, unseen, first)
-                                if not math.isnan(rim):
-                                    found[number, count[number]] = rim
-                                    at[number, count[number]] = k
-                                    count[number] += 1
-                        unseen = slices
+    points = label.shape[1]
     rims, by_row = np.full(products + 1, np.nan), np.full((products + 1, points), np.nan)
+    row, edge = np.zeros((2, points), np.int64), np.zeros((2, points), np.int64)
+    belt, unseen = np.zeros((2, points), np.int64), np.zeros((2, points), np.int64)
     for number in range(1, products + 1):
-        many = count[number]
-        if many < _RIM_ROWS_MIN:
+        count, missing = np.zeros(2, np.int64), np.full(2, np.inf)
+        for side in range(2):
+            n = 0
+            for k in range(points):
+                edge[side, n], belt[side, n] = _outermost(label, added, number, k, 1 - 2 * side)
+                row[side, n], unseen[side, n] = k, abs(edge[side, n] - belt[side, n]) - 1
+                n += belt[side, n] >= 0
+            if n > 0:
+                count[side], missing[side] = n, np.median(unseen[side, :n])
+        side = 0 if missing[0] <= missing[1] else 1
+        many, way = count[side], 1 - 2 * side
+        if many < _RIM_ROWS_MIN or missing[side] > _DIM_MOST:
             continue
-        rims[number] = max(_usual(found[number, many // 4 : many - many // 4]), 0.0)
-        by_row[number] = np.maximum(_by_groups(at[number], found[number], many, points), 0.0)
+        rows, edges, belts = row[side, :many], edge[side, :many], belt[side, :many]
+        far = slice(0, count[1 - side])
+        beyond = _beyond_last(xyz, rows, edges, belts, unseen[side, :many])
+        beyond += _cut_off(xyz, rows, belts, row[1 - side, far], edge[1 - side, far], belt[1 - side, far])
+        part = slice(many // 4, many - many // 4)
+        rims[number] = _rim_of_rows(xyz, label, added, rows[part], edges[part], beyond[part], way, first)
+        groups = min(_RIM_GROUPS, many // _RIM_ROWS_MIN)
+        at, told = np.empty(groups), np.empty(groups)
+        for g in range(groups):
+            part = slice(g * many // groups, (g + 1) * many // groups)
+            at[g] = np.mean(rows[part])
+            told[g] = _rim_of_rows(xyz, label, added, rows[part], edges[part], beyond[part], way, first)
+        by_row[number] = np.interp(np.arange(points), at, told)
     return rims, by_row
 
 
 @inlined
-def _usual(values: Floats) -> float:
-    """Give the mean without the lowest and the highest tenth.
+def _outermost(label: Labels, added: Flags, number: int, k: int, way: int) -> tuple[int, int]:
+    """Give the slices of a row's outermost point and of the belt beside it, from where `way` leads inwards.
 
-    Rows with one point lost and with two make two heaps of rims, of which neither is right but their mean is.
+    The belt's is −1 where the scan ends before it, or another product stands there.
     """
-    ordered = np.sort(values)
-    tenth = ordered.size // 10
-    return float(np.mean(ordered[tenth : ordered.size - tenth]))
+    slices, belt = label.shape[0], -1
+    for n in range(slices):
+        m = n if way == 1 else slices - 1 - n
+        if label[m, k] == 0:
+            belt = m
+        elif label[m, k] > 0 and not added[m, k]:
+            if label[m, k] == number:
+                return m, belt
+            belt = -1
+    return 0, -1
 
 
 @inlined
-def _rim_of_row(
-    xyz: Floats, label: Labels, added: Flags, m: int, k: int, way: int, unseen: int, first: int
-) -> float:
-    """Give the height at which the conic of a row's outer points ends where the row does; see `rims_of`."""
-    start = m + first * way
-    step = abs(xyz[m + way, k, 0] - xyz[m, k, 0])
-    end = abs(xyz[start, k, 0] - xyz[m, k, 0]) + (unseen + 0.5) * step
-    d, z = np.empty(POINTS), np.empty(POINTS)
-    count = _last_points(xyz, label, added, start, k, -way, 0, d, z)
-    low, high = 0.0, z[0]
-    longest = conic(d, z, count, 2.0 * end, low)[4]
-    if longest <= end:  # it slopes down to the belt; or it is flat, and tells nothing
-        return 0.0 if longest > 0.0 else math.nan
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        length = conic(d, z, count, 2.0 * end, middle)[4]
-        low, high = (middle, high) if length > end else (low, middle)
-    return 0.5 * (low + high)
+def _beyond_last(xyz: Floats, row: Integers, edge: Integers, belt: Integers, unseen: Integers) -> Floats:
+    """Give (row,) how far rows go on beyond their last points: to half a spacing inside the belt, mm."""
+    beyond = np.empty(row.size)
+    for n in range(row.size):
+        to_belt = abs(xyz[belt[n], row[n], 0] - xyz[edge[n], row[n], 0])
+        beyond[n] = to_belt * (unseen[n] + 0.5) / (unseen[n] + 1.0)
+    return beyond
+
+
+@inlined
+def _cut_off(
+    xyz: Floats, row: Integers, belt: Integers, far_row: Integers, far_edge: Integers, far_belt: Integers
+) -> Floats:
+    """Give (row,) how much farther out the first light on the belt lies than its sheet's middle, mm.
+
+    Of a sheet whose middle meets the product, what passes beside it still shows on the belt. As no more than
+    a part of the sheet it seems to lie below the belt; it lies on it, where its line of sight does. How
+    oblique that is, the shadow on the other side says, whose length is seen, and the height at its beginning.
+    """
+    long_mm, high_mm = 0.0, 0.0
+    for n in range(far_row.size):
+        long_mm += abs(xyz[far_belt[n], far_row[n], 0] - xyz[far_edge[n], far_row[n], 0])
+        high_mm += xyz[far_edge[n], far_row[n], 2]
+    oblique = long_mm / high_mm if high_mm > 0.0 else 0.0
+    farther = np.empty(row.size)
+    for n in range(row.size):
+        farther[n] = -xyz[belt[n], row[n], 2] * oblique
+    return farther
+
+
+@float_kernel
+def _rim_of_rows(
+    xyz: Floats, label: Labels, added: Flags, row: Integers, edge: Integers, beyond: Floats, way: int,
+    first: int,
+) -> float:  # fmt: skip
+    """Give the height at which the conics of rows' outer points end where the rows do, on the mean, mm.
+
+    0 where they slope down to the belt, NaN where none bends.
+    """
+    slices, many = label.shape[0], row.size
+    d, z = np.empty((many, POINTS)), np.empty((many, POINTS))
+    count, end, high = np.zeros(many, np.int64), np.zeros(many), 0.0
+    for n in range(many):
+        k, m, start = row[n], edge[n], edge[n] + first * way
+        inner = start + way
+        if not 0 <= inner < slices or label[start, k] != label[m, k] or label[inner, k] != label[m, k]:
+            continue
+        end[n] = abs(xyz[start, k, 0] - xyz[m, k, 0]) + beyond[n]
+        count[n] = _last_points(xyz, label, added, start, k, -way, 0, d[n], z[n])
+        high = max(high, z[n, 0])
+    low = rim = 0.0
+    for _ in range(_HALVINGS + 1):
+        longer, told = 0.0, 0
+        for n in range(many):
+            length = conic(d[n], z[n], count[n], 2.0 * end[n], rim)[4]
+            if length > 0.0:
+                longer += length - end[n]
+                told += 1
+        if told == 0:
+            return math.nan
+        if rim == 0.0 and longer <= 0.0:
+            return 0.0
+        low, high = (rim, high) if longer > 0.0 else (low, rim)
+        rim = 0.5 * (low + high)
+    return rim
+
+
+@inlined
+def _usual(values: Floats) -> float:
+    """Give the mean without the lowest and the highest tenth."""
+    ordered = np.sort(values)
+    tenth = ordered.size // 10
+    return float(np.mean(ordered[tenth : ordered.size - tenth]))
 
 
 @float_kernel

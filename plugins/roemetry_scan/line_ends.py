@@ -38,10 +38,10 @@ def line_ends(x_px: Floats, x_std_px: Floats) -> Floats:
     ends = np.full(2, np.nan)
     if not std_px.size:
         return ends
-    std_px /= np.nanmedian(std_px, axis=1, keepdims=True)  # noise is judged by lines that were read together
+    std_px /= _medians_of_known(std_px)[:, None]  # noise is judged by lines that were read together
     seen = np.flatnonzero(np.isfinite(std_px).mean(axis=0) >= 0.5)
     times = np.full(rows, _NOT_SEEN)
-    times[seen] = np.minimum(np.nanmedian(std_px[:, seen], axis=0), _NOT_SEEN)
+    times[seen] = np.minimum(_medians_of_known(std_px[:, seen].T), _NOT_SEEN)
     for k, way in enumerate((1, -1)):
         clear = np.flatnonzero(times[::way] < _DOUBLED)
         if clear.size and clear[0] >= _SIDE_ROWS:
@@ -49,6 +49,17 @@ def line_ends(x_px: Floats, x_std_px: Floats) -> Floats:
             end = clear[0] - (np.log(_DOUBLED) - inside) / (outside - inside)
             ends[k] = end if way > 0 else rows - 1 - end
     return ends
+
+
+def _medians_of_known(values: Floats) -> Floats:
+    """Give (line,) medians of the values that are known in each line, NaN of none.
+
+    As `numpy.nanmedian` does, in half its time or less, for it takes the lines one by one.
+    """
+    ordered = np.sort(values, axis=1)  # NaN come last
+    known = np.count_nonzero(~np.isnan(values), axis=1)
+    middle = np.column_stack([(known - 1) // 2, known // 2])
+    return np.asarray(np.take_along_axis(ordered, middle, axis=1).mean(axis=1))
 
 
 def longer_by(ends: Floats, calibrated: Floats, rows: int) -> tuple[float, float]:

@@ -132,8 +132,6 @@ def _outliers(end: Floats) -> Flags:
 
 def _beside(here: Floats, around: list[Floats], limit_mm: float, oblique_rows: int) -> bool:
     """Say whether all of some lines (line, row) lie in a run beside the two before and the two after them."""
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d
-
     _, before, after, _ = around
     step = np.abs(after - before)
     beside = np.isfinite(step)
@@ -143,6 +141,8 @@ def _beside(here: Floats, around: list[Floats], limit_mm: float, oblique_rows: i
         beside &= (over > limit_mm) & (over > _OF_STEP * step)
     if not _has_run(beside):
         return False
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
     wide = 2 * oblique_rows + 1
     # an oblique edge may bring any height of the rows beside into this line
     low = minimum_filter1d(np.fmin.reduce([np.nan_to_num(one, nan=np.inf) for one in (before, after)]), wide)
@@ -167,5 +167,7 @@ def _longest_run(marked: Flags) -> int:
 
 def _has_run(beside: Flags) -> bool:
     """Say whether so many neighbours are."""
+    if np.count_nonzero(beside) < _RUN:  # nearly always
+        return False
     count = np.convolve(beside, np.ones(_RUN, np.int64), "valid")
     return bool((count == _RUN).any())

@@ -56,6 +56,41 @@ def test_a_rim_is_found_beside_points_that_are_too_dim_and_one_that_is_lifted(
     assert 0.5 < outer[1] - rims[1] < 2.0
 
 
+def half_cylinder(shadow_mm: float, inside_mm: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Slices of one of 20 mm radius over a rim at 5 mm; unseen from X = 12 mm on, for so long.
+
+    Lines are 1 mm apart and lie anywhere to the edges; belt is seen up to `inside_mm` inside one of them.
+    """
+    x_mm = np.arange(-40.0, 60.0)[:, None] + np.arange(400) * 0.618034 % 1.0
+    label = (np.abs(x_mm) < 20.0).astype(np.int16)
+    z_mm = np.where(label > 0, 5.0 + np.sqrt(np.maximum(20.0**2 - x_mm**2, 0.0)), 0.0)
+    label[x_mm < -20.0 + inside_mm] = 0
+    label[(x_mm > 12.0) & (x_mm < 12.0 + shadow_mm)] = -1
+    return np.stack([x_mm, np.zeros_like(x_mm), np.where(label < 0, np.nan, z_mm)], axis=-1), label
+
+
+@pytest.mark.parametrize("shadow_mm", [11.0, 30.0])
+def test_the_shadow_of_a_product_is_no_edge(shadow_mm: float) -> None:
+    """Also where it is short: belt three lines beyond an edge is as belt beside points that are too dim."""
+    xyz_mm, label = half_cylinder(shadow_mm)
+    rims, by_row = rims_of(xyz_mm, label, np.zeros(label.shape, np.bool_), 1)
+    assert rims[1] == pytest.approx(5.0, abs=0.15)
+    np.testing.assert_allclose(by_row[1], 5.0, atol=0.2)
+
+
+def test_light_beside_a_product_lies_where_its_line_of_sight_meets_the_belt() -> None:
+    """The product holds back the middle of a sheet, up to 0.3 mm inside; the rest lies 0.3 mm outwards."""
+    xyz_mm, label = half_cylinder(18.0, 0.3)
+    none = np.zeros(label.shape, np.bool_)
+    high_mm = xyz_mm[(label == 1) & (np.roll(label, -1, axis=0) == -1), 2].mean()
+    first = (label == 0) & (np.roll(label, -1, axis=0) == 1)
+    xyz_mm[first, 2] = -0.3 / (19.0 / high_mm)  # the shadow's lines and one more, on the mean
+    rims, _ = rims_of(xyz_mm, label, none, 1)
+    assert rims[1] == pytest.approx(5.0, abs=0.15)
+    xyz_mm[first, 2] = 0.0
+    assert rims_of(xyz_mm, label, none, 1)[0][1] > 6.0
+
+
 @pytest.mark.parametrize(
     ("stretched_rows", "longer", "expected"),
     [(0, 1.0, 0.0), (70, 1.5, 0.5), (70, 0.7, 0.3), (30, 1.5, 0.5 * (3 / 7) ** 0.5)],
