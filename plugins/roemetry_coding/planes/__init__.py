@@ -38,7 +38,7 @@ from roemetry_kernels.consistency import refuse_bare_lines, refuse_uncodable, re
 from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.rest_lines import RestLines, calibrated_rest_lines, missing_stripes, reasons_of
 
-__all__ = ["Planes", "PlanesOptions", "epipolar_lines", "margin_of"]
+__all__ = ["Planes", "PlanesOptions", "coded_by_planes", "epipolar_lines", "margin_of"]
 
 _REACH = (2.0, 4.0, 8.0)
 """Heights are looked for up to so many times the highest that the calibration is meant for: only so is a
@@ -68,68 +68,80 @@ class Planes(Coder[PlanesOptions]):
     """Solves for all labels of a frame at once, on the lines where sight and light meet."""
 
     def code(self, peaks: Peaks, calibration: Calibration | None) -> StripeMap:
-        """Code the peaks of one frame.
+        """Code the peaks of one frame; see `coded_by_planes`."""
+        return coded_by_planes(peaks, calibration, self.options)
 
-        Parameters
-        ----------
-        peaks
-            From any extractor.
-        calibration
-            Its view gives camera and planes; without a view, image rows and displacements are used.
 
-        Raises
-        ------
-        StageError
-            No calibration; no peak at all; peaks of another image size than the calibration's; rest lines
-            that cross, or with (nearly) nothing on them; the belt's stripes more than a pixel beside them;
-            fewer than two peaks in five on any possible surface.
-        """
-        refuse_uncodable(peaks, calibration)
-        calibration = required_calibration(calibration, "planes", "without planes a peak has no height")
-        rest = calibrated_rest_lines(peaks, calibration)
-        problem = build_problem(peaks, calibration, rest, _REACH[0])
-        refuse_bare_lines(bool(problem.candidates.many.any()), rest.x_px.shape[0])
+def coded_by_planes(
+    peaks: Peaks, calibration: Calibration | None, options: PlanesOptions, *, lines_apart: int = 1
+) -> StripeMap:
+    """Code the peaks of one frame.
+
+    Parameters
+    ----------
+    peaks
+        From any extractor.
+    calibration
+        Its view gives camera and planes; without a view, image rows and displacements are used.
+    options
+        See `PlanesOptions`.
+    lines_apart
+        Image rows from one epipolar line to the next. Time falls nearly with it. Wider than a row is for
+        coders that check the labels in another way, too.
+
+    Raises
+    ------
+    StageError
+        No calibration; no peak at all; peaks of another image size than the calibration's; rest lines that
+        cross, or with (nearly) nothing on them; the belt's stripes more than a pixel beside them; fewer than
+        two peaks in five on any possible surface.
+    """
+    refuse_uncodable(peaks, calibration)
+    calibration = required_calibration(calibration, "planes", "without planes a peak has no height")
+    rest = calibrated_rest_lines(peaks, calibration)
+    problem = build_problem(peaks, calibration, rest, _REACH[0], lines_apart)
+    refuse_bare_lines(bool(problem.candidates.many.any()), rest.x_px.shape[0])
+    solved = cheapest_labels(problem)
+    # raised only where bodies stand at the bound: more labels cost time on every line
+    for bound, reach in pairwise(_REACH):
+        if not _bounded(peaks, stripes_of(problem, solved), calibration, rest, bound):
+            break
+        problem = reaching(problem, calibration, rest, reach)
         solved = cheapest_labels(problem)
-        # raised only where bodies stand at the bound: more labels cost time on every line
-        for bound, reach in pairwise(_REACH):
-            if not _bounded(peaks, stripes_of(problem, solved), calibration, rest, bound):
-                break
-            problem = reaching(problem, calibration, rest, reach)
-            solved = cheapest_labels(problem)
-        verdicts = verdicts_of(problem, solved, peaks.row)
-        # stripes that are named: with light on their rest line, or at least given often enough
-        given = np.bincount(verdicts.stripe[verdicts.stripe >= 0], minlength=problem.there.size)
-        live = np.flatnonzero((problem.there > 0.0) & (given >= _LIVE_PEAKS_MIN))
-        refuse_bare_lines(live.size > 0 and _belt_fits(peaks, rest), rest.x_px.shape[0])
-        stripe, margin, gaps = decided(
-            problem,
-            verdicts,
-            peaks,
-            calibration,
-            rest,
-            self.options.margin_min,
-            self.options.longest_gap_rows,
+    verdicts = verdicts_of(problem, solved, peaks.row)
+    # stripes that are named: with light on their rest line, or at least given often enough
+    given = np.bincount(verdicts.stripe[verdicts.stripe >= 0], minlength=problem.there.size)
+    live = np.flatnonzero((problem.there > 0.0) & (given >= _LIVE_PEAKS_MIN))
+    refuse_bare_lines(live.size > 0 and _belt_fits(peaks, rest), rest.x_px.shape[0])
+    stripe, margin, gaps = decided(
+        problem,
+        verdicts,
+        peaks,
+        calibration,
+        rest,
+        options.margin_min,
+        options.longest_gap_rows,
+    )
+    # peaks refused for doubt count here as well: such a frame is of no use
+    labelled = (stripe >= 0).mean()
+    if labelled < _LABELLED_SHARE_MIN:
+        raise StageError(
+            f"only {labelled:.0%} of the peaks can lie on a surface: either they are noise, or "
+            "calibration and image do not belong together",
+            hint="look at the image; was it turned, or the camera moved?",
         )
-        # peaks refused for doubt count here as well: such a frame is of no use
-        labelled = (stripe >= 0).mean()
-        if labelled < _LABELLED_SHARE_MIN:
-            raise StageError(
-                f"only {labelled:.0%} of the peaks can lie on a surface: either they are noise, or "
-                "calibration and image do not belong together",
-                hint="look at the image; was it turned, or the camera moved?",
-            )
-        return bridged(
-            peaks,
-            stripe,
-            margin,
-            rest,
-            longest_gap_rows=self.options.longest_gap_rows,
-            smallest_product_points=self.options.smallest_product_points,
-            reasons=reasons_of(rest)
-            + missing_stripes(live, rest.x_px.shape[0])
-            + gaps
-            + _approximate(calibration),
-        )
+    return bridged(
+        peaks,
+        stripe,
+        margin,
+        rest,
+        longest_gap_rows=options.longest_gap_rows,
+        smallest_product_points=options.smallest_product_points,
+        reasons=reasons_of(rest)
+        + missing_stripes(live, rest.x_px.shape[0])
+        + gaps
+        + _approximate(calibration),
+    )
 
 
 def _bounded(peaks: Peaks, stripe: Integers, calibration: Calibration, rest: RestLines, bound: float) -> bool:

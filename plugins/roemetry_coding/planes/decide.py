@@ -298,7 +298,8 @@ def _peak_labels(
 ) -> tuple[Integers, Floats, Floats, Floats]:  # fmt: skip
     """Give (peak,) stripe or −1, height, how much dearer the next best is, and evidence; of its nearest line.
 
-    A peak between two lines takes the verdict on which its neighbours in its piece agree.
+    A peak between two lines takes the verdict on which its neighbours in its piece agree; where lines
+    are more than a row apart, at the end of a piece, that of the only one.
     """
     low, count, offset = candidates.low, candidates.many, candidates.offset
     piece, piece_line = pieces.of, pieces.rest
@@ -362,6 +363,12 @@ def _peak_labels(
             last[piece[p]] = p
             continue
         one, other = before[p], last[piece[p]]
+        if entries.apart > 1:
+            # rows at the end of a piece may lie beyond its last line, and have one neighbour
+            if one < 0 and other >= 0 and abs(line[p] - line[other]) < 1.0:
+                one = other
+            elif other < 0 and one >= 0 and abs(line[p] - line[one]) < 1.0:
+                other = one
         if one >= 0 and other >= 0 and stripe[one] == stripe[other]:
             stripe[p], dearer[p] = stripe[one], min(dearer[one], dearer[other])
             sure[p] = min(sure[one], sure[other])

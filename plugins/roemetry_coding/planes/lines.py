@@ -46,15 +46,15 @@ _BORDER_PX = 0.5
 """The image ends half a pixel beyond the centres of its outermost pixels, px."""
 _PARALLEL = 1e-3
 """Planes, or base and view, within so many radians of parallel have no stable common point."""
-GAP_LINES = 20
-"""Longest gap along a trace that is tied over, lines."""
-OVERLAP_LINES = 4
-"""On so many lines both what lies before an edge and what lies behind it may be seen: light spreads over it
-by some two rows from either side."""
+GAP_ROWS = 20
+"""Longest gap along a trace that is tied over, rows."""
+OVERLAP_ROWS = 4
+"""On lines over so many rows both what lies before an edge and what lies behind it may be seen: light spreads
+over it by some two rows from either side."""
 _TIE_LOOSE = 1.8
 """What even two ends that hardly point at each other are tied by: little more than a cut."""
 _END_PX = (1.5, 0.25)
-"""How far an end may point past the other, px, and how much more for each line of the gap: a trace's slope
+"""How far an end may point past the other, px, and how much more for each row of the gap: a trace's slope
 over six rows is known to about 0.25 px a row."""
 _SLOPE_LINES = 6
 """Lines that an end's slope is taken over."""
@@ -78,6 +78,16 @@ class EpipolarLines(NamedTuple):
     u_max: Floats
     """u_min, u_max: (line,) where each line enters and leaves the image; NaN where it does not cross it."""
 
+    def every(self, apart: int) -> EpipolarLines:
+        """Leave every so many lines; places are counted in these."""
+        if apart == 1:
+            return self
+        plane, u_min, u_max = (
+            np.ascontiguousarray(one[::apart]) for one in (self.plane, self.u_min, self.u_max)
+        )
+        line, enters, leaves = (one / apart for one in (self.line, self.enters, self.leaves))
+        return EpipolarLines(line, self.u, plane, self.lean, enters, leaves, u_min, u_max)
+
 
 class Entries(NamedTuple):
     """Peaks as they stand on the sight lines: a trace has one entry on each line it crosses."""
@@ -92,6 +102,8 @@ class Entries(NamedTuple):
     """before, after: (entry,) the entry of the same trace on the line before and after, −1 for none."""
     tie: Floats
     """(entry,) what it costs to have another stripe than the entry before."""
+    apart: int = 1
+    """Image rows from one line to the next, about."""
 
 
 def epipolar_lines(peaks: Peaks, calibration: Calibration, rest_px: Floats) -> EpipolarLines:
@@ -120,7 +132,7 @@ def epipolar_lines(peaks: Peaks, calibration: Calibration, rest_px: Floats) -> E
 @kernel
 def entries_of(
     trace: Integers, piece: Integers, loose: Flags, belt: Flags, lines: EpipolarLines, u_per_px: float,
-    ties: tuple[float, float, float], gap_lines: int,
+    ties: tuple[float, float, float], apart: int,
 ) -> Entries:  # fmt: skip
     """Put every trace once on each line that it crosses, and tie it to itself across lines.
 
@@ -138,8 +150,8 @@ def entries_of(
         Change of u for a pixel.
     ties
         Cost of a change of stripe within a piece, at a cut, and over a gap.
-    gap_lines
-        Longest gap that is tied over, lines.
+    apart
+        Image rows from one line to the next, about.
     """
     line, u, count_lines = lines.line, lines.u, lines.plane.shape[0]
     peaks = trace.shape[0]
@@ -177,8 +189,8 @@ def entries_of(
                 k -= 1
             place[k], peak[k] = u[p], p
             fill[e] += 1
-    up, down, tie = _tied(start, peak, place, trace, piece, loose, belt, u_per_px, ties, gap_lines)
-    return Entries(start, peak, place, up, down, tie)
+    up, down, tie = _tied(start, peak, place, trace, piece, loose, belt, u_per_px, ties, apart)
+    return Entries(start, peak, place, up, down, tie, apart)
 
 
 def _rows(peaks: Peaks, calibration: Calibration, rest_px: Floats) -> EpipolarLines:
@@ -386,7 +398,7 @@ def _neighbours(trace: Integers) -> tuple[Integers, Integers]:
 @kernel
 def _tied(
     start: Integers, peak: Integers, place: Floats, trace: Integers, piece: Integers, loose: Flags,
-    belt: Flags, u_per_px: float, ties: tuple[float, float, float], gap_lines: int,
+    belt: Flags, u_per_px: float, ties: tuple[float, float, float], apart: int,
 ) -> tuple[Integers, Integers, Floats]:  # fmt: skip
     tie_whole, tie_cut, tie_gap = ties
     size = peak.shape[0]
@@ -412,7 +424,7 @@ def _tied(
                 continue
             # 1 is what an end may be off at most
             best, found = 1.0, -1
-            for back in range(1, gap_lines + 1):
+            for back in range(1, GAP_ROWS // apart + 1):
                 if e - back < 0:
                     break
                 for j in range(start[e - back], start[e - back + 1]):
@@ -422,8 +434,9 @@ def _tied(
                     # mean slope of both ends over the gap
                     slope = 0.5 * (_slope(j, up, place, -1) + _slope(i, down, place, 1))
                     off = abs(place[j] + slope * back - place[i]) / u_per_px
-                    if off / (_END_PX[0] + _END_PX[1] * back) < best:
-                        best, found = off / (_END_PX[0] + _END_PX[1] * back), j
+                    most = _END_PX[0] + _END_PX[1] * back * apart
+                    if off / most < best:
+                        best, found = off / most, j
                 if found >= 0:
                     break
             # nearest line first: a farther end is only asked where no nearer one points here

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_coding.planes.graph import Candidates, PairCosts, Weights
-from roemetry_coding.planes.lines import OVERLAP_LINES, Entries
+from roemetry_coding.planes.lines import OVERLAP_ROWS, Entries
 from roemetry_kernels.compiling import kernel
 
 _ASIDE = 1
@@ -66,13 +66,15 @@ class Runs(NamedTuple):
     both: Floats
     """(edge, way, way) what they cost each other."""
     disorder: Integers
-    """(edge, way, way) number of sight lines on which that puts neighbours out of order."""
+    """(edge, way, way) over how many rows that puts neighbours out of order."""
     start: Integers
     edge: Integers
     """start, edge: (run + 1,) where a run's edges begin; edges, run by run."""
     first: Integers
     last: Integers
     """first, last: (run,) sight lines on which it begins and ends."""
+    apart: int = 1
+    """Rows from one line to the next, about."""
 
 
 def cheapest_shifts(
@@ -215,7 +217,7 @@ def runs_of(
                         # lines
                         if stripe[of[last]] + a >= stripe[f] + b:
                             both[t, a, b] += DISORDER
-                            disorder[t, a, b] += 1
+                            disorder[t, a, b] += entries.apart
                         elif not near:
                             both[t, a, b] += IMPOSSIBLE
                         elif 0 <= k < count[p] and 0 <= h < count[last]:
@@ -232,7 +234,8 @@ def runs_of(
                     alone[of[last], a] += weights.unseen * after[offset[last] + k]
     one, other = key // runs, key % runs
     edge_start, edge = _edges(runs, one, other)
-    return Runs(of, stripe, alone, one, other, both, disorder, edge_start, edge, first, last_line)
+    apart = entries.apart
+    return Runs(of, stripe, alone, one, other, both, disorder, edge_start, edge, first, last_line, apart)
 
 
 @kernel
@@ -378,11 +381,11 @@ def _shift(f: int, by: int, way: Integers, runs: Runs, waiting: Integers, queued
         forced = False
         for n in range(runs.start[g], runs.start[g + 1]):
             t = runs.edge[n]
-            forced = forced or runs.disorder[t, way[runs.one[t]], way[runs.other[t]]] > OVERLAP_LINES
+            forced = forced or runs.disorder[t, way[runs.one[t]], way[runs.other[t]]] > OVERLAP_ROWS
         to = way[g] + by
         change = _change(g, to, way, runs)
         # a small run in the way had better be left out than push all behind it
-        if forced and runs.own[g, _OUT] <= _SMALL_COST:
+        if forced and runs.apart * runs.own[g, _OUT] <= _SMALL_COST:
             left_out = _change(g, _OUT, way, runs)
             if left_out < change:
                 to, change = _OUT, left_out

@@ -39,7 +39,7 @@ from roemetry_coding.planes.graph import (
     pair_costs_of,
     unary_costs,
 )
-from roemetry_coding.planes.lines import GAP_LINES, Entries, EpipolarLines, entries_of, epipolar_lines
+from roemetry_coding.planes.lines import Entries, EpipolarLines, entries_of, epipolar_lines
 from roemetry_coding.planes.pieces import (
     ENDS,
     Pieces,
@@ -100,8 +100,8 @@ _WIDE = 4
 would mostly begin and end."""
 _DEAR = 20.0
 """Costs count up to this when a piece's lines vote: more than any wrong label costs on one line."""
-_SMALL_ENTRIES = 12
-"""A piece of so few entries gives way to a larger one."""
+_SMALL_ROWS = 12
+"""A piece of so few rows gives way to a larger one."""
 
 
 class Problem(NamedTuple):
@@ -135,7 +135,9 @@ class Solved(NamedTuple):
     """(node,) by how much it is dearer than its entry's cheapest node."""
 
 
-def build_problem(peaks: Peaks, calibration: Calibration, rest: RestLines, reach: float) -> Problem:
+def build_problem(
+    peaks: Peaks, calibration: Calibration, rest: RestLines, reach: float, lines_apart: int = 1
+) -> Problem:
     """Set up a frame's graph.
 
     Parameters
@@ -151,11 +153,12 @@ def build_problem(peaks: Peaks, calibration: Calibration, rest: RestLines, reach
     """
     lines = epipolar_lines(peaks, calibration, rest.x_px)
     pieces, presence = _pieces(peaks, rest, lines)
+    lines, presence = lines.every(lines_apart), np.ascontiguousarray(presence[::lines_apart])
     u_per_px = float(np.nanmedian(lines.u_max - lines.u_min)) / peaks.image_size[1]
     ties = WEIGHTS.tie_whole, WEIGHTS.tie_cut, WEIGHTS.tie_gap
     loose = pieces.rest[pieces.of] == ENDS
     belt = pieces.rest[pieces.of] != -1
-    entries = entries_of(pieces.trace, pieces.of, loose, belt, lines, u_per_px, ties, GAP_LINES)
+    entries = entries_of(pieces.trace, pieces.of, loose, belt, lines, u_per_px, ties, lines_apart)
     # a stripe that is found with probability p, and is not seen, costs −log(1 − p); WEIGHTS.unseen at most
     rows, stripes = peaks.image_size[0], presence.shape[1]
     # by the image's top and bottom, where nothing can cover the belt
@@ -576,7 +579,7 @@ def _put_in_order(entries: Entries, candidates: Candidates, pieces: Pieces, best
     size = np.zeros(piece_line.shape[0], np.int64)
     for i in range(peak.shape[0]):
         # ends count as size 0: they give way first
-        size[piece[peak[i]]] += piece_line[piece[peak[i]]] != ENDS
+        size[piece[peak[i]]] += entries.apart * (piece_line[piece[peak[i]]] != ENDS)
     for e in range(start.shape[0] - 1):
         last = -1
         for i in range(start[e], start[e + 1]):
@@ -586,10 +589,10 @@ def _put_in_order(entries: Entries, candidates: Candidates, pieces: Pieces, best
             while last >= 0 and low[last] + best[last] - offset[last] >= low[i] + best[i] - offset[i]:
                 before, here = size[piece[peak[last]]], size[piece[peak[i]]]
                 # the smaller one gives way, unless both are large; then it stays for `shifts` and the vetoes
-                if here <= before and here <= _SMALL_ENTRIES:
+                if here <= before and here <= _SMALL_ROWS:
                     best[i] = offset[i + 1] - 1
                     break
-                if before > _SMALL_ENTRIES:
+                if before > _SMALL_ROWS:
                     break
                 best[last] = offset[last + 1] - 1
                 last -= 1

@@ -36,7 +36,7 @@ import numpy as np
 from roemetry.records import Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry_coding.planes.graph import Candidates, PairCosts, Weights
-from roemetry_coding.planes.lines import OVERLAP_LINES, Entries
+from roemetry_coding.planes.lines import OVERLAP_ROWS, Entries
 from roemetry_coding.planes.pieces import ENDS, Pieces
 from roemetry_kernels.compiling import kernel
 from roemetry_kernels.consistency import HIDING_SPACINGS
@@ -57,9 +57,9 @@ _LEVEL_ROWS = 40
 """A level body goes on for so many rows; fewer are as many as a break along a stripe may have."""
 _FLICKER_ROWS = 3
 """So many rows of it may be missing."""
-_DENIED_LINES_MIN = 8
-"""Sight lines on which a body may not deny belt, but for `OVERLAP_LINES` at either end of a stripe. Of 16
-bodies on two path-traced rigs it is three at most; two that faint light put one stripe off had 15 and 34.
+_DENIED_ROWS_MIN = 8
+"""Rows of sight lines on which a body may not deny belt, but for `OVERLAP_ROWS` at either end of a stripe. Of
+16 bodies on two path-traced rigs it is three at most; two that faint light put one stripe off had 15 and 34.
 Both sorts stay apart with three to six lines at the ends; with two, the first has nine."""
 _GLOW_SHARE = 1.0 / 3.0
 """Of a stripe's median amplitude on a body: fainter is light that came there through the body. On the wall of
@@ -225,13 +225,13 @@ def denies_belt(
         (peak,) height above the background.
     """
     denied: Integers = _denied_lines(entries, line, stripe, body)
-    doubted = (body > 0) & (denied[body] >= _DENIED_LINES_MIN)
+    doubted = (body > 0) & (denied[body] >= _DENIED_ROWS_MIN)
     if not doubted.any():
         return np.asarray(doubted)
     faint = _faint(body * (stripe.max() + 1) + stripe, doubted, amplitude)
     # once more without the faint peaks: does the body still deny?
     denied = _denied_lines(entries, line, stripe, np.where(faint, 0, body))
-    return np.asarray(doubted & (faint | (denied[body] >= _DENIED_LINES_MIN)))
+    return np.asarray(doubted & (faint | (denied[body] >= _DENIED_ROWS_MIN)))
 
 
 def _faint(cell: Integers, on: Flags, amplitude: Floats) -> Flags:
@@ -247,7 +247,7 @@ def _faint(cell: Integers, on: Flags, amplitude: Floats) -> Flags:
 
 @kernel
 def _denied_lines(entries: Entries, line: Integers, stripe: Integers, body: Integers) -> Integers:
-    """Count by body the sight lines on which it has a stripe of which belt was left out.
+    """Count by body the rows of sight lines on which it has a stripe of which belt was left out.
 
     Not those at either end of the stripe on the body, where light spreads over the edge: an edge askew to the
     sight lines shows that on other lines for each stripe, and of a few rows a stripe becomes a body's worth.
@@ -277,8 +277,8 @@ def _denied_lines(entries: Entries, line: Integers, stripe: Integers, body: Inte
                 if b == 0 or s != line[p] or last[b] == e:
                     continue
                 # away from the stripe's ends, where light spreads over the edge; once a line
-                if begins[b, s] + OVERLAP_LINES <= e <= ends[b, s] - OVERLAP_LINES:
-                    denied[b] += 1
+                if entries.apart * min(e - begins[b, s], ends[b, s] - e) >= OVERLAP_ROWS:
+                    denied[b] += entries.apart
                     last[b] = e
     return denied
 

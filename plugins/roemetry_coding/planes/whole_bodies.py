@@ -18,14 +18,15 @@ import numpy as np
 
 from roemetry.records.arrays import Floats, Integers
 from roemetry_coding.planes.graph import Candidates, PairCosts, Weights
-from roemetry_coding.planes.lines import GAP_LINES, Entries
+from roemetry_coding.planes.lines import GAP_ROWS, Entries
 from roemetry_coding.planes.shifts import DISORDER, IMPOSSIBLE, Runs
 from roemetry_kernels.compiling import kernel
 
 _REACH = 3
 """Stripes each way: heights are looked for up to about as many label heights above a body on dense rigs."""
-_ENTRIES_MIN = 100
-"""Smaller bodies are for `shifts`: so few entries are one run or two, which it moves as a whole."""
+_ROWS_MIN = 100
+"""Smaller bodies are for `shifts`: so few rows, of all stripes together, are one run or two, which it moves
+as a whole."""
 _LOST_SHARE_MAX = 0.25
 """Of a body that is moved, more entries without a possible height are no body there: below the belt, or above
 what heights are looked for."""
@@ -76,8 +77,8 @@ def whole_body_shifts(
             for i in range(start[e], start[e + 1]):
                 if runs.of[i] >= 0 and body[runs.of[i]] == b:
                     crossed[e] = True
-                    size += 1
-        if size < _ENTRIES_MIN:
+                    size += entries.apart
+        if size < _ROWS_MIN:
             continue
         least, to = np.inf, 0
         for way in (-1, 1):
@@ -88,16 +89,16 @@ def whole_body_shifts(
                     if runs.of[i] >= 0 and body[runs.of[i]] == b:
                         move[i] = way * far
                         # entries for which the moved stripe has no possible height
-                        lost += not 0 <= best[i] + move[i] - offset[i] < count[i]
+                        lost += entries.apart * (not 0 <= best[i] + move[i] - offset[i] < count[i])
                 # and farther on even more have none
                 if lost > _LOST_SHARE_MAX * size:
                     break
                 # behind the last line it crosses, ties still reach over a gap
-                change, wide, against, last = 0.0, 0, 0, -GAP_LINES - 1
+                change, wide, against, last = 0.0, 0, 0, -GAP_ROWS - 1
                 for e in range(lines):
                     if crossed[e]:
                         wide, last = wide + 1, e
-                    if e - last <= GAP_LINES:
+                    if entries.apart * (e - last) <= GAP_ROWS:
                         cost, disorder = _cost_of(e, move, entries, candidates, best, own, costs, weights)
                         change += cost - still[e]
                         against += disorder > 0
