@@ -327,19 +327,16 @@ def _list_shipped() -> None:
 
 
 def _found(given: Path) -> Path:
-    import difflib
-
-    from roemetry.errors import ConfigurationError
+    from roemetry.errors import ConfigurationError, did_you_mean
 
     if given.is_file():
         return given
     shipped = _shipped()
     if given.name in shipped and given.parent == Path():
         return shipped[given.name]
-    close = difflib.get_close_matches(given.name, shipped, n=1)
     raise ConfigurationError(
         f"there is no file {given}, and no shipped target of that name",
-        hint=f"did you mean `{close[0]}`?" if close else "`roemetry target` lists the shipped ones",
+        hint=did_you_mean(given.name, shipped) or "`roemetry target` lists the shipped ones",
     )
 
 
