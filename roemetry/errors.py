@@ -6,7 +6,7 @@ expected, and a hint that says what to do. Anything else is our fault and keeps 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 
 class RoemetryError(Exception):
@@ -97,3 +97,11 @@ def _rebuild(kind: type[RoemetryError], args: tuple[object, ...], state: dict[st
     Exception.__init__(error, *args)
     error.__dict__.update(state)
     return error
+
+
+def did_you_mean(name: str, known: Iterable[str], *, cutoff: float = 0.6) -> str:
+    """Ask whether the known name most like a wrong one was meant; "" where none is as like as `cutoff`."""
+    import difflib  # only an error needs it
+
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
+    return f"did you mean `{close[0]}`?" if close else ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib.util
 import keyword
 import re
@@ -12,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from roemetry.errors import ConfigurationError, OutputError
+from roemetry.errors import ConfigurationError, OutputError, did_you_mean
 from roemetry.io.files import make_folder, write_whole
 from roemetry.stages.hookspecs import KINDS
 from roemetry.stages.registry import Registry, discover
@@ -123,11 +122,8 @@ def write_plugin(name: str, kind: str, folder: Path, registry: Registry) -> tupl
 
 def _check_kind(kind: str) -> None:
     if kind not in KINDS:
-        close = difflib.get_close_matches(kind.lower(), TEMPLATES, n=1)
-        mean = f"did you mean `{close[0]}`? " if close else ""
-        raise ConfigurationError(
-            f"there is no kind of stage `{kind}`", hint=f"{mean}one of {', '.join(TEMPLATES)}"
-        )
+        hint = f"{did_you_mean(kind.lower(), TEMPLATES)} one of {', '.join(TEMPLATES)}".lstrip()
+        raise ConfigurationError(f"there is no kind of stage `{kind}`", hint=hint)
     if kind not in TEMPLATES:
         raise ConfigurationError(
             f"there is no template for a {kind}",

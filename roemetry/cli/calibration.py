@@ -18,6 +18,13 @@ if TYPE_CHECKING:
     from roemetry.records import Evidence, Fitted
     from roemetry.records.calibration import Calibration
 
+_Block = Annotated[
+    Path | None,
+    typer.Option(
+        "--target", help="The block's description; default: the block the calibration was made from."
+    ),
+]
+
 
 def calibrate(
     rig: Annotated[Path, typer.Argument(help="A rig file: which images, which target, how many stripes.")],
@@ -123,12 +130,7 @@ def _write_page(path: Path, calibration: Calibration, evidence: Evidence, name: 
 def check_calibration(
     recipe: Annotated[Path, typer.Argument(help="The line's recipe file, or its folder.")],
     image: Annotated[Path, typer.Argument(help="The block on the belt under the stripes.")],
-    target: Annotated[
-        Path | None,
-        typer.Option(
-            "--target", help="The block's description; default: the block the calibration was made from."
-        ),
-    ] = None,
+    target: _Block = None,
     chart: Annotated[
         Path | None,
         typer.Option(
@@ -230,12 +232,7 @@ def fit_penetration(
     film_std: Annotated[
         float, typer.Option("--film-std", min=0, help="Standard uncertainty of that thickness, mm.")
     ] = 0.0,
-    target: Annotated[
-        Path | None,
-        typer.Option(
-            "--target", help="The block's description; default: the block the calibration was made from."
-        ),
-    ] = None,
+    target: _Block = None,
     out: Annotated[
         Path | None, out_option("File to write; default: penetration.yaml beside the recipe.")
     ] = None,
@@ -327,19 +324,16 @@ def _list_shipped() -> None:
 
 
 def _found(given: Path) -> Path:
-    import difflib
-
-    from roemetry.errors import ConfigurationError
+    from roemetry.errors import ConfigurationError, did_you_mean
 
     if given.is_file():
         return given
     shipped = _shipped()
     if given.name in shipped and given.parent == Path():
         return shipped[given.name]
-    close = difflib.get_close_matches(given.name, shipped, n=1)
     raise ConfigurationError(
         f"there is no file {given}, and no shipped target of that name",
-        hint=f"did you mean `{close[0]}`?" if close else "`roemetry target` lists the shipped ones",
+        hint=did_you_mean(given.name, shipped) or "`roemetry target` lists the shipped ones",
     )
 
 

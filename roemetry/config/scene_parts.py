@@ -8,7 +8,6 @@ makes of a part (of gloss, or of light below the surface) stands on its own page
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from roemetry.config.validation import unknown_key
-from roemetry.errors import MisfitError
+from roemetry.errors import MisfitError, did_you_mean
 from roemetry.io.files import is_file
 
 Value = TypeVar("Value")
@@ -336,10 +335,9 @@ def family_options(
             raise MisfitError((at, "family `none` has no options"))
         return None
     if family not in models:
-        close = difflib.get_close_matches(family, models, n=1)
-        mean = f"; did you mean `{close[0]}`?" if close else "."
-        known = ", ".join((NONE, *models))
-        raise MisfitError((("family",), f"there is no product family `{family}`{mean} There are: {known}"))
+        meant = did_you_mean(family, models)
+        unknown = f"there is no product family `{family}`{'; ' + meant if meant else '.'}"
+        raise MisfitError((("family",), f"{unknown} There are: {', '.join((NONE, *models))}"))
     try:
         return models[family].model_validate(dict(options))
     except ValidationError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, get_args, get_origin
@@ -10,7 +9,7 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from roemetry.errors import MisfitError
+from roemetry.errors import MisfitError, did_you_mean
 from roemetry.io.yaml_source import Step
 
 Place = Callable[[Sequence[Step]], str]
@@ -31,11 +30,8 @@ def checked(
 
 def unknown_key(key: object, known: Sequence[str]) -> str:
     """Write what to say of a key nobody knows."""
-    close = difflib.get_close_matches(str(key), known, n=1)
-    said = f"unknown key `{key}`"
-    return said + (
-        f"; did you mean `{close[0]}`?" if close else f"; known here: {', '.join(known) or 'none'}"
-    )
+    meant = did_you_mean(str(key), known)
+    return f"unknown key `{key}`; {meant or 'known here: ' + (', '.join(known) or 'none')}"
 
 
 def _grouped(error: ValidationError) -> list[list[ErrorDetails]]:
@@ -122,9 +118,7 @@ def _sentence(model: type[BaseModel], detail: ErrorDetails) -> str:
         return (
             f"a key must be a word, found {_shown(found)}; a comma ends a value: write decimals with a point"
         )
-    said = _expected(detail)
-    close = difflib.get_close_matches(str(found), _choices(detail), n=1) if kind == "literal_error" else []
-    return f"{said}, found {_shown(found)}" + (f"; did you mean `{close[0]}`?" if close else "")
+    return _expected(detail) + _but_found(found, _choices(detail) if kind == "literal_error" else [])
 
 
 def _either(group: list[ErrorDetails]) -> str:
@@ -133,8 +127,13 @@ def _either(group: list[ErrorDetails]) -> str:
     first, *others = dict.fromkeys(_expected(detail) for detail in ordered)
     said = ", or ".join([first, *(other.removeprefix("expected ") for other in others)])
     words = [word for detail in ordered for word in _choices(detail)]
-    close = difflib.get_close_matches(str(group[0]["input"]), words, n=1)
-    return f"{said}, found {_shown(group[0]['input'])}" + (f"; did you mean `{close[0]}`?" if close else "")
+    return said + _but_found(group[0]["input"], words)
+
+
+def _but_found(value: object, words: Sequence[str]) -> str:
+    """Write what stands in the file, and which of the possible words may be meant."""
+    meant = did_you_mean(str(value), words)
+    return f", found {_shown(value)}" + (f"; {meant}" if meant else "")
 
 
 def _expected(detail: ErrorDetails) -> str:

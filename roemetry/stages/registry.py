@@ -7,7 +7,6 @@ refused until the recipe says whose it means: the order of a search path must no
 from __future__ import annotations
 
 import ctypes
-import difflib
 import importlib
 import importlib.util
 import os
@@ -21,7 +20,7 @@ from typing import Any
 
 import pluggy
 
-from roemetry.errors import FAULTS, PluginError
+from roemetry.errors import FAULTS, PluginError, did_you_mean
 from roemetry.stages.hookspecs import API, KINDS, PROJECT, Hooks, StageEntry, VerbEntry
 
 
@@ -130,8 +129,7 @@ class Registry:
         install = not_installed(use)
         if install is not None:
             return PluginError(f"there is no {kind} `{use}` yet", hint=install)
-        close = difflib.get_close_matches(use, names, n=1)
-        parts = [f"did you mean `{close[0]}`?"] if close else []
+        parts = [meant] if (meant := did_you_mean(use, names)) else []
         parts += [
             f"`{use}` belongs under `{other.entry.kind}`" for other in self.stages if other.entry.name == use
         ]
@@ -210,9 +208,9 @@ def _entries(point: EntryPoint) -> tuple[list[StageEntry], list[VerbEntry]]:
         if not isinstance(entry, StageEntry):
             raise PluginError(f"`roemetry_stages` gave a {type(entry).__name__}, expected StageEntry")
         if entry.kind not in KINDS:
-            close = difflib.get_close_matches(entry.kind, KINDS, n=1)
-            mean = f"; did you mean `{close[0]}`?" if close else ""
-            raise PluginError(f"stage `{entry.name}` is of the unknown kind `{entry.kind}`{mean}")
+            meant = did_you_mean(entry.kind, KINDS)
+            said = f"stage `{entry.name}` is of the unknown kind `{entry.kind}`"
+            raise PluginError(f"{said}; {meant}" if meant else said)
         if entry.api > API:
             raise PluginError(
                 f"stage `{entry.name}` needs interface version {entry.api}, this roemetry has {API}: "

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from roemetry.config.resolve import misfit_of
-from roemetry.errors import FAULTS, PluginError
+from roemetry.errors import FAULTS, PluginError, did_you_mean
 from roemetry.run.stage_errors import plugin_frame
 from roemetry.stages import Stage
 from roemetry.stages.registry import Registered, Registry, discover, not_installed
@@ -108,10 +107,9 @@ def prepare_stage(
     known = [name_of(check) for check in checks_of(entry.kind, stage.capabilities.pattern)]
     for name in expected:
         if name not in known:
-            close = difflib.get_close_matches(name, known, n=1)
             raise PluginError(
                 f"{entry.kind} `{entry.name}` declares to fail `{name}`, which is no check of its kind",
-                hint=f"did you mean `{close[0]}`?" if close else "docs/reference/conformance.md lists them",
+                hint=did_you_mean(name, known) or "docs/reference/conformance.md lists them",
             )
     return stage, expected
 
@@ -133,10 +131,9 @@ def stages_named(name: str) -> tuple[Registered, ...]:
     if install is not None:
         raise PluginError(f"there is no stage or plugin `{name}` yet", hint=install)
     known = sorted({each for stage in registry.stages for each in _names(stage)})
-    close = difflib.get_close_matches(name, known, n=1)
     raise PluginError(
         f"there is no stage or plugin `{name}`",
-        hint=f"did you mean `{close[0]}`?" if close else "`roemetry plugins` lists what is installed",
+        hint=did_you_mean(name, known) or "`roemetry plugins` lists what is installed",
     )
 
 
@@ -226,8 +223,7 @@ def _refuse_unknown(expected_failures: Mapping[str, str], stages: tuple[Register
     known = set().union(*(_keys(registered) for registered in stages))
     for key in expected_failures:
         if key not in known:
-            close = difflib.get_close_matches(key, known, n=1)
             raise PluginError(
                 f"`{key}` is no check of any of these stages",
-                hint=f"did you mean `{close[0]}`?" if close else "docs/reference/conformance.md lists them",
+                hint=did_you_mean(key, known) or "docs/reference/conformance.md lists them",
             )

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from typing import Literal
 
 from pydantic import Field
 
-from roemetry.errors import ConfigurationError
+from roemetry.errors import ConfigurationError, did_you_mean
 from roemetry.stages import StageOptions
 
 Counting = Literal["64-bit", "16-bit"]
@@ -61,8 +60,7 @@ class CameraOptions(StageOptions):
 
 def no_node(name: str, known: Iterable[str]) -> ConfigurationError:
     """Give the error for a node that the camera has not."""
-    close = difflib.get_close_matches(name, list(known), n=1)
-    hint = f"did you mean `{close[0]}`?" if close else "the camera's manual lists its nodes"
+    hint = did_you_mean(name, known) or "the camera's manual lists its nodes"
     return ConfigurationError(f"the camera has no node `{name}`", hint=hint, at=("nodes", name))
 
 

@@ -202,8 +202,8 @@ _STATIC = Path(__file__).parent / "static"
 _COOKIE = "roemetry_session"
 _BODY_MAX, _BODY_S = 10_000, 5.0  # bytes of a request, and how long it may take to come, s
 _EVERY_S = 0.5
-_BEAT_S = 1.0  # as the other processes: what is written once a second is enough to see a death
 """How often what is shown is read anew, s."""
+_BEAT_S = 1.0  # as the other processes: what is written once a second is enough to see a death
 _STREAMS_MAX = 50  # pages that are kept up to date at once
 _TREND_HOURS_MAX = 24.0 * 31
 

@@ -5,7 +5,6 @@ It holds recipe, rig, calibration and a few simulated products to try them on.
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 import re
@@ -20,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 from roemetry.cli.options import COMPILING, Move
 from roemetry.cli.warm_up import warm_up
-from roemetry.errors import ConfigurationError, OutputError
-from roemetry.io.files import make_folder, write_whole
+from roemetry.errors import ConfigurationError, OutputError, did_you_mean
+from roemetry.io.files import make_folder, shipped, write_whole
 from roemetry_tools.init_project.layout import Answers, Layout, lay_out
 
 if TYPE_CHECKING:
@@ -237,14 +236,9 @@ _SHARED_TARGET = re.compile(r"\.\./\.\./calib_targets/([\w.-]+)")
 
 def shipped_lines() -> dict[str, Path]:
     """Give the folders of the lines by name: in the installed package, or in the checkout."""
-    import roemetry
-
-    package = Path(roemetry.__file__).parent
-    folders = (package / "recipes", package.parent / "recipes")
-    home = next((folder for folder in folders if folder.is_dir()), folders[0])
     return {
         folder.name: folder
-        for folder in sorted(home.glob("*"))
+        for folder in sorted(shipped("recipes").glob("*"))
         if all((folder / name).is_file() for name in COPIED)
     }
 
@@ -255,11 +249,9 @@ def line_of(name: str) -> Path:
     plain = name.strip().lower().replace("-", "_").replace(" ", "_")
     if plain in lines:
         return lines[plain]
-    close = difflib.get_close_matches(plain, lines, n=1, cutoff=0.5)
-    mean = f"did you mean `{close[0]}`?; " if close else ""
-    raise ConfigurationError(
-        f"--like: there is no product line `{name}`", hint=f"{mean}there are {', '.join(lines)}"
-    )
+    meant = did_you_mean(plain, lines, cutoff=0.5)
+    hint = "; ".join([*([meant] if meant else []), f"there are {', '.join(lines)}"])
+    raise ConfigurationError(f"--like: there is no product line `{name}`", hint=hint)
 
 
 def copied(line: Path) -> Mapping[str, str]:
