@@ -320,6 +320,7 @@ def _area(
         top, low = max(top, on[m, _Z]), min(low, on[m, _Z])
     out[TOP], out[LOW] = top, low
     first, last = _outermost_seen(on)
+    nothing_seen = first == count
     belt_y = on[0, _Y], on[count - 1, _Y]
     if first < count:
         on = on[first : last + 1]
@@ -359,7 +360,7 @@ def _area(
             on_seen += abs(part)
         else:
             on_bridged += abs(part)
-        if first == on.shape[0]:
+        if nothing_seen:
             loose += abs(part)
         if gap:
             farthest = np.inf if _is_step(on, m, top) else widest

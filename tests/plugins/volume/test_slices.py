@@ -277,3 +277,17 @@ def test_a_gap_under_some_products_widens_the_intervals_of_all(rng: np.random.Ge
     true = np.where(gap, rng.normal(0.75, 0.02, 2000), rng.normal(0.92, 0.01, 2000))
     share, std = fitted_share(np.ones(1000), true[:1000])
     assert 0.92 < np.mean(np.abs(true[1000:] - share) < 1.96 * std) < 0.98
+
+
+@pytest.mark.parametrize("hidden", [29, 30, 31])
+def test_what_counts_as_loose_does_not_depend_on_how_many_points_are_bridged(hidden: int) -> None:
+    """Thirty seen points after as many bridged ones were once taken for a slice without a seen point."""
+    profiles = product_of(HALF_ELLIPSOID, ELEVEN).profiles
+    place = int(profiles.seen.sum(axis=1).argmax())
+    points = np.flatnonzero(profiles.seen[place])
+    seen = np.zeros_like(profiles.seen)
+    seen[place, points[hidden : hidden + 30]] = True
+    table, _ = slice_table.slice_areas(
+        profiles.xyz_mm, profiles.product, seen, profiles.row_px, profiles.plane, profiles.frame, 1
+    )
+    assert 0.0 < table[place, slice_table.LOOSE] < 0.7 * table[place, slice_table.AREA]
