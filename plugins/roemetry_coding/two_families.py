@@ -27,14 +27,11 @@ from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
 from roemetry.records.stripes import AMBIGUOUS, UNLABELLED
 from roemetry.stages import Coder
-from roemetry_coding.planes import PlanesOptions, coded_by_planes
+from roemetry_coding.planes import Planes, PlanesOptions
 from roemetry_kernels.bridging import bridged
 from roemetry_kernels.consistency import required_calibration
 from roemetry_kernels.rest_lines import calibrated_rest_lines, reasons_of
 
-_LINES_APART = 3
-"""Rows from one epipolar line to the next where all lines are coded together: that only doubts labels, over
-runs of many rows. Where each family is coded, noise of ten grey levels asks for lines a row apart."""
 _OFF = 0.5
 """Of what a label is worth in height, from which on two lines are not on one surface: flanks between two
 lines make a quarter of it."""
@@ -56,13 +53,13 @@ class TwoFamilies(Coder[PlanesOptions]):
             What `planes` refuses of either family, which is named.
         """
         if peaks.family is None:
-            return coded_by_planes(peaks, calibration, self.options)
+            return Planes(self.options).code(peaks, calibration)
         calibration = required_calibration(calibration, "two-families", "without planes a peak has no height")
         stripe, margin = np.full(len(peaks), UNLABELLED, np.int64), np.full(len(peaks), np.nan)
         for family, name in enumerate(("first", "second")):
             mine = np.flatnonzero(peaks.family == family)
             try:
-                coded = coded_by_planes(part_of(peaks, mine), family_of(calibration, family), self.options)
+                coded = Planes(self.options).code(part_of(peaks, mine), family_of(calibration, family))
             except StageError as error:
                 raise StageError(f"lines of the {name} colour: {error.message}", hint=error.hint) from error
             label = coded.peak_stripe.astype(np.int64)
@@ -98,9 +95,7 @@ class TwoFamilies(Coder[PlanesOptions]):
         Where that gives them a line of the other colour it is refuted itself.
         """
         try:
-            together = coded_by_planes(
-                replace(peaks, family=None), calibration, self.options, lines_apart=_LINES_APART
-            ).peak_stripe
+            together = Planes(self.options).code(replace(peaks, family=None), calibration).peak_stripe
         except StageError:  # of one colour they are too dense: that says nothing
             return np.zeros(len(peaks), np.bool_)
         # a line of the other colour says nothing

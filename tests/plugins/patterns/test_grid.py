@@ -18,6 +18,7 @@ from roemetry.records import AMBIGUOUS, Sensor
 from roemetry.records.calibration import Calibration
 from roemetry.testing.scenes import GridRig, frame_of
 from roemetry_coding.grid import GridPlanes, _asked_again, _Families, _followed, _with_thin_parts
+from roemetry_coding.planes import PlanesOptions, coded_by_planes
 from roemetry_patterns.surface_points import pooled
 from roemetry_peaks.grid_lines import GridLines
 from roemetry_pinhole.grid import ACROSS, _turning, turned_parameters
@@ -119,6 +120,18 @@ def test_a_line_that_ends_behind_a_crossing_is_taken_away_there() -> None:
     near = (np.abs(peaks.row - line_px) < 6.0) & (np.abs(peaks.x_px - end + 2) < 4.0)
     assert near.sum() == np.count_nonzero(np.abs(np.arange(rig.rows) - line_px) < 6.0)  # one in each row
     assert np.abs(peaks.x_px[near] - rig.x_px(flat[0])[3, peaks.row[near]]).max() < 0.3
+
+
+@pytest.mark.parametrize("lines_apart", [2, 3])
+def test_lines_farther_apart_label_nearly_all_peaks_and_none_wrongly(lines_apart: int) -> None:
+    rig = GridRig()
+    heights = rig.hill()
+    peaks, calibration = rig.grid_peaks(heights, 0.0), rig.grid_calibration()
+    found = coded_by_planes(peaks, calibration, PlanesOptions(), lines_apart=lines_apart)
+    labelled = found.peak_stripe >= 0
+    true = rig.grid_map(heights).peak_stripe
+    assert labelled.mean() > 0.99
+    assert np.array_equal(found.peak_stripe[labelled], true[labelled])
 
 
 def test_a_grid_under_another_calibration_is_refused() -> None:
