@@ -5,9 +5,8 @@ Quality Control; ISO 7870-2, 7870-6):
 
 - standard deviation within: mean of the moving ranges of two successive products over 1.128;
 - means by hour: overall mean ± 3 σ / √n, n products in the hour;
-- EWMA by product, z_i = λ x_i + (1 − λ) z_(i−1): overall mean ± L σ √(λ / (2 − λ) · (1 − (1 − λ)^(2i))), λ
-= 0.2 and
-  L = 2.86, which gives a false alarm in 370 products on average.
+- EWMA by product, z_i = λ x_i + (1 − λ) z_(i−1): overall mean ± L σ √(λ / (2 − λ) · (1 − (1 − λ)^(2i))),
+  λ = 0.2 and L = 2.86, which gives a false alarm in 370 products on average.
 
 Products on a line are not made alike: a chart that is out of control says that the product, or the
 instrument, has changed, and not which. Assumed: successive products are independent.

@@ -204,7 +204,8 @@ def _shape(wanted: tuple[str, ...], grade: Grade | None) -> tuple[Verdict, str]:
         return "open", f"the shape is not known, {asked} is required"
     sure = _sure(wanted, grade)
     if math.isnan(sure):
-        sure = float(grade.label in wanted)
+        denied = _denied(wanted)
+        sure = float(grade.label in wanted or bool(denied and denied != {grade.label}))
     # what has to be likely is the verdict: that it is wanted, or that it is not
     if 1.0 - _SHAPE_PROBABILITY_MIN < sure < _SHAPE_PROBABILITY_MIN:
         return "open", f"the shape is {grade.label}, {asked} has a probability of {sure:.2f}"
@@ -220,14 +221,24 @@ def _sure(wanted: tuple[str, ...], grade: Grade) -> float:
         return math.nan
     begin = "probability_"
     stated = {name.removeprefix(begin): p for name, p in grade.features.items() if name.startswith(begin)}
-    # without any probability of those wanted, all that the label leaves could be theirs
-    if grade.label not in wanted and not any(label in stated for label in wanted):
-        return 1.0 - grade.probability
+    named = any(label in stated for label in wanted)
     stated[grade.label] = grade.probability
-    # Defects exclude each other, so their probabilities add. `not-good` is all of them together.
-    together = [stated.get(label, 0.0) for label in wanted if label.startswith("not-")]
-    single = sum(stated.get(label, 0.0) for label in wanted if not label.startswith("not-"))
-    return min(1.0, max(single, *together, 0.0))
+    denied = _denied(wanted)
+    if len(denied) > 1:
+        return 1.0  # nothing is of both classes
+    for one in denied:
+        # all defects are in it: of the others wanted, only the denied class itself adds
+        rest = stated.get(f"not-{one}", 1.0 - stated[one] if one in stated else grade.probability)
+        return min(1.0, rest + (stated.get(one, 0.0) if one in wanted else 0.0))
+    # without any probability of those wanted, all that the label leaves could be theirs
+    if grade.label not in wanted and not named:
+        return 1.0 - grade.probability
+    return min(1.0, sum(stated.get(label, 0.0) for label in wanted))
+
+
+def _denied(wanted: tuple[str, ...]) -> set[str]:
+    """Give the classes that a product must not be of: `good` of `not-good`."""
+    return {label.removeprefix("not-") for label in wanted if label.startswith("not-")}
 
 
 def _limit(name: str, limits: Limits, found: Quantities, factor: float) -> tuple[Verdict, str]:

@@ -79,7 +79,7 @@ class LearnedOptions(StageOptions):
         default=0.0,
         ge=0.0,
         le=1.0,
-        description="a class less likely than this is not stated: unknown; the model has its own least, too",
+        description="nothing less likely than this is stated; the model has its own least, too",
     )
 
 
@@ -358,6 +358,11 @@ def fit_classifier(samples: Samples, *, good: str, smoothing_mm: float) -> Fitte
         raise DataError("no feature varies: the samples are all alike", hint="are the features in the table?")
     if len(classes) == 1:
         good = str(classes[0])
+    if len(classes) > 2 and f"not-{good}" in classes:
+        raise DataError(
+            f"`not-{good}` is a class beside others, but it is the word for all that is not {good}",
+            hint="call it by another name, or all defects so",
+        )
     # too few for probabilities; with a good class they are still enough to know what is good
     if len(classes) == 1 or (len(labels) < REGRESSION_MIN and good):
         return _reference(names, values, labels, good, smoothing_mm)

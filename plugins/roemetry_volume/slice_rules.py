@@ -137,15 +137,18 @@ def _in_shadow(slices: Slices, end: int, within: float, tapered: Cap) -> Cap:
     """
     plane = slices.profiles.plane[slices.place]
     area = slices.area_mm2 - slices.loose_mm2
-    x = slices.t_mm - plane[:, 2] / plane[:, 0] * slices.table[:, SQUARE] / area
+    # ∫ z² dy over the area of the same points: without what is filled over missing rows
+    x = slices.t_mm - plane[:, 2] / plane[:, 0] * slices.table[:, SQUARE] / (area - slices.filled_mm2)
     if not (np.diff(x) > 0.0).all():
         return tapered
-    within += abs(float(x[-end] - slices.t_mm[-end]))
-    volume, length, _, trust = taper_of(x, area, end, within, slices.limited[end])
+    inside = abs(float(x[-end] - slices.t_mm[-end]))
+    volume, length, _, trust = taper_of(x, area, end, within + inside, False)
     if not trust > 0.0:
         return tapered
     shadow = -0.5 * abs(slices.lean[end]) * float(slices.table[-end, SQUARE])
-    upright = Cap(volume, length, tapered.slope_mm, TAPERED, shadow, _OPEN_TAPER_STD * volume)
+    # a cap's length counts from where the outer plane meets the belt
+    length, std = max(length - inside, 0.0), _OPEN_TAPER_STD * volume
+    upright = Cap(volume, length, tapered.slope_mm, TAPERED, shadow, std)
     return _mixed(upright, tapered, 0.5)
 
 

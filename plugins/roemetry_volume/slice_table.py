@@ -190,7 +190,9 @@ OPEN, WALL, SQUARE = 14, 15, 16
 """Columns of the table: rest X (mm); area (mm²) and its parts by kind of point; width (mm); length left out
 as a hole (mm); highest and lowest Z (mm); number of points; first and last row (px); how deep the surface
 falls between two humps, over the lower one; area bridged beyond the outermost points that were seen, and that
-of straight lines over what is left out as a hole (mm²); mean square of the heights of both ends (mm²)."""
+of straight lines over what is left out as a hole (mm²); mean square of the heights of both ends (mm²);
+∫ z² dy (mm³) over the slice's own points, without tails and gaps: over their area, the mean height weighed by
+the area."""
 
 _STEP_MAX = 1.5  # rows; a larger step between neighbours means that rows are missing
 _HOLE_SHARE = 0.3  # of the slice's top: a gap with both ends lower is a hole down to the belt

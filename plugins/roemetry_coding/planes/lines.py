@@ -57,7 +57,7 @@ _END_PX = (1.5, 0.25)
 """How far an end may point past the other, px, and how much more for each row of the gap: a trace's slope
 over six rows is known to about 0.25 px a row."""
 _SLOPE_LINES = 6
-"""Lines that an end's slope is taken over."""
+"""Lines that an end's slope is taken over; of wider lines these are more rows, and the slope is surer."""
 
 
 class EpipolarLines(NamedTuple):

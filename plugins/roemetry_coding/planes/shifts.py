@@ -213,8 +213,8 @@ def runs_of(
                     h = stripe[of[last]] + a - _ASIDE - low[last]
                     for b in range(_WAYS):
                         k = stripe[f] + b - _ASIDE - low[p]
-                        # out of order: not infinite, as a light spread over an edge is out of order for a few
-                        # lines
+                        # out of order: not infinite, as light that spreads over an edge is out of order for a
+                        # few lines
                         if stripe[of[last]] + a >= stripe[f] + b:
                             both[t, a, b] += DISORDER
                             disorder[t, a, b] += entries.apart

@@ -224,13 +224,13 @@ def denies_belt(
     amplitude
         (peak,) height above the background.
     """
-    denied: Integers = _denied_lines(entries, line, stripe, body)
+    denied: Integers = _denied_rows(entries, line, stripe, body)
     doubted = (body > 0) & (denied[body] >= _DENIED_ROWS_MIN)
     if not doubted.any():
         return np.asarray(doubted)
     faint = _faint(body * (stripe.max() + 1) + stripe, doubted, amplitude)
     # once more without the faint peaks: does the body still deny?
-    denied = _denied_lines(entries, line, stripe, np.where(faint, 0, body))
+    denied = _denied_rows(entries, line, stripe, np.where(faint, 0, body))
     return np.asarray(doubted & (faint | (denied[body] >= _DENIED_ROWS_MIN)))
 
 
@@ -246,7 +246,7 @@ def _faint(cell: Integers, on: Flags, amplitude: Floats) -> Flags:
 
 
 @kernel
-def _denied_lines(entries: Entries, line: Integers, stripe: Integers, body: Integers) -> Integers:
+def _denied_rows(entries: Entries, line: Integers, stripe: Integers, body: Integers) -> Integers:
     """Count by body the rows of sight lines on which it has a stripe of which belt was left out.
 
     Not those at either end of the stripe on the body, where light spreads over the edge: an edge askew to the

@@ -11,7 +11,7 @@ Classes are held against true ones: recalls with intervals, and whether stated p
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -298,12 +298,6 @@ class Graded(NamedTuple):
         """Whether it was called what it is."""
         return self.given == self.true
 
-    @property
-    def stated_truly(self) -> bool:
-        """Whether it is what it was called, or is not what it was said not to be (`not-good`)."""
-        denied = self.given.removeprefix("not-")
-        return self.right or (denied != self.given and denied != self.true)
-
 
 class Recall(NamedTuple):
     """Of one class: products, share of them that was called so; share right of those that were called so.
@@ -388,7 +382,8 @@ def reliability_of(graded: Sequence[Graded], terms: Terms) -> Reliability | None
     if not stated:
         return None
     p = np.array([one.probability for one in stated])
-    right = np.array([one.stated_truly for one in stated], np.float64)
+    names = {one.true for one in graded}
+    right = np.array([is_true(one, names) for one in stated], np.float64)
     place = np.minimum((p * BINS).astype(np.int64), BINS - 1)
     bins = []
     for k in np.unique(place).tolist():
@@ -407,6 +402,15 @@ def reliability_of(graded: Sequence[Graded], terms: Terms) -> Reliability | None
         brier=float(((p - right) ** 2).mean()),
         calibration_error=sum(b.n * abs(b.stated - b.right) for b in bins) / len(stated),
     )
+
+
+def is_true(one: Graded, names: Collection[str]) -> bool:
+    """Tell whether a product is what it was called, or is not what it was said not to be (`not-good`).
+
+    A word that is itself one of the true classes' `names` denies nothing.
+    """
+    denied = one.given.removeprefix("not-")
+    return one.right or (one.given not in names and denied in names and denied != one.true)
 
 
 def _by_class(graded: Sequence[Graded], names: Sequence[str], values: Floats) -> Floats:

@@ -182,6 +182,15 @@ def test_what_cannot_be_learned_from_is_named(rng: np.random.Generator) -> None:
         ArcCurvature.fit(given)
 
 
+def test_the_word_for_all_defects_is_no_class_beside_others(rng: np.random.Generator) -> None:
+    three = samples(rng)
+    labels = tuple("not-good" if label == "bend" else label for label in three.labels)
+    with pytest.raises(DataError, match="`not-good` is a class beside others"):
+        fit_classifier(replace(three, labels=labels), good="good", smoothing_mm=3.0)
+    two = tuple(label if label == "good" else "not-good" for label in three.labels)
+    fit_classifier(replace(three, labels=two), good="good", smoothing_mm=3.0)
+
+
 def test_a_damaged_model_is_named(learned_of_three: Fitted, tmp_path: Path) -> None:
     path, content = tmp_path / "m.json", json.loads(learned_of_three.content)
     path.write_text(json.dumps(content), encoding="utf-8")

@@ -130,6 +130,10 @@ def test_a_shape_must_be_sure(
         (["bent", "dented"], "not-good", {"bent": 0.6, "dented": 0.39, "not-good": 0.99}, True),
         (["not-good"], "bent", {"bent": 0.97, "not-good": 0.99}, True),
         (["bent"], "not-good", {"bent": 0.6, "dented": 0.39, "not-good": 0.99}, False),
+        (["good", "not-good"], "good", {"good": 0.8, "not-good": 0.2}, True),
+        (["not-good"], "henkei", {"henkei": 0.97}, True),
+        (["not-good"], "bend", {"bend": math.nan}, True),
+        (["not-good"], "good", {"good": math.nan}, False),
         # added up, they would be 1.3
         (["bent", "not-good"], "bent", {"bent": 0.6, "not-good": 0.7}, False),
     ],

@@ -70,6 +70,9 @@ def test_the_shadow_of_an_end_beyond_all_stripes_is_not_continued(lean: float, s
     true = 2.0 / 3.0 * np.pi * HALF_LENGTH * HALF_WIDTH * HEIGHT
     assert volume == pytest.approx(true, rel=0.011)
     assert abs(volume - true) < 2.5 * found.std_mm3
+    # the taper alone reaches up to 6.4 mm too far
+    beyond_mm = max(HALF_LENGTH - abs(slices.t_mm[-far]), 0.0)
+    assert found.length_mm == pytest.approx(beyond_mm, abs=2.7)
 
 
 def test_no_quadric_closes_a_flat_end() -> None:

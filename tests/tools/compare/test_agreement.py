@@ -22,6 +22,7 @@ from roemetry_tools.compare.agreement import (
     agreement_of,
     balanced_interval,
     balanced_shift,
+    is_true,
     mean_of,
     nearer,
     recalls_of,
@@ -193,8 +194,9 @@ def test_all_of_a_specimen_is_in_one_fold() -> None:
 
 
 def test_what_is_not_of_a_class_is_truly_denied() -> None:
-    rows = graded([("dent", "not-good", 0.9), ("good", "not-good", 0.9), ("dent", "bend", 0.9)])
-    assert [one.stated_truly for one in rows] == [True, False, False]
+    rows = graded([("dent", "not-good", 0.9), ("good", "not-good", 0.9), ("dent", "not-cooked", 0.9)])
+    names = {"dent", "good", "not-cooked"}
+    assert [is_true(one, names) for one in rows] == [True, False, False]
     assert not any(one.right for one in rows)
 
 
