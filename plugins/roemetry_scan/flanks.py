@@ -192,11 +192,11 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int, first: int 
     """Give (product + 1,) the height of each one's rim, and (product + 1, row) that of its sections by rows.
 
     NaN where belt is seen right beside too few of them, or too few of these bend. The rim is the height at
-    which the conics of rows' outer points end where the rows do, on the mean over rows: the edge of one row lies anywhere between its
-    last line and the first line of belt. Lengths are averaged, not rims: a conic is longer by about as much
-    as its rim is lower, while a rim rises as the root of what an edge is off. The last point is left out: of
-    a sheet of light that reaches beyond the rim only its upper part is seen, which lifts that point by up to
-    0.9 mm. With `first` 0 it counts, too.
+    which the conics of rows' outer points end where the rows do, on the mean over rows: the edge of one row
+    lies anywhere between its last line and the first line of belt. Lengths are averaged, not rims: a conic is
+    longer by about as much as its rim is lower, while a rim rises as the root of what an edge is off. The
+    last point is left out: of a sheet of light that reaches beyond the rim only its upper part is seen, which
+    lifts that point by up to 0.3 mm. With `first` 0 it counts, too.
 
     Only the side counts on which fewer points are missing between product and belt. On the other one the belt
     reappears behind a shadow, which says nothing of an edge; thin products have short ones.
@@ -231,7 +231,8 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int, first: int 
         rows, edges, belts = row[side, :many], edge[side, :many], belt[side, :many]
         far = slice(0, count[1 - side])
         beyond = _beyond_last(xyz, rows, edges, belts, unseen[side, :many])
-        beyond += _cut_off(xyz, rows, belts, row[1 - side, far], edge[1 - side, far], belt[1 - side, far])
+        if missing[1 - side] > _DIM_MOST:  # there is a shadow; else the distance to the belt is a spacing
+            beyond += _cut_off(xyz, rows, belts, row[1 - side, far], edge[1 - side, far], belt[1 - side, far])
         groups = min(_RIM_GROUPS, many // _RIM_ROWS_MIN)
         at, told = np.empty(groups), np.empty(groups)
         for g in range(groups):
@@ -285,7 +286,8 @@ def _cut_off(
 
     Of a sheet whose middle meets the product, what passes beside it still shows on the belt. As no more than
     a part of the sheet it seems to lie below the belt; it lies on it, where its line of sight does. How
-    oblique that is, the shadow on the other side says, whose length is seen, and the height at its beginning.
+    oblique that is, the shadow on the other side says, whose length is seen, and the height at its beginning:
+    without one nothing does, and light is taken as it is seen.
     """
     long_mm, high_mm = 0.0, 0.0
     for n in range(far_row.size):

@@ -112,6 +112,18 @@ def test_light_beside_a_product_lies_where_its_line_of_sight_meets_the_belt() ->
     assert rims_of(xyz_mm, label, none, 1)[0][1] > 6.0
 
 
+def test_where_there_is_no_shadow_nothing_tells_where_such_light_lies() -> None:
+    """The distance to the belt is a spacing there, however steeply the camera looks down."""
+    xyz_mm, label = half_cylinder(0.0)
+    none = np.zeros(label.shape, np.bool_)
+    rims, by_row = rims_of(xyz_mm, label, none, 1)
+    for beside in (np.roll(label, -1, axis=0), np.roll(label, 1, axis=0)):
+        xyz_mm[(label == 0) & (beside == 1), 2] = -0.3
+    lower_rims, lower_by_row = rims_of(xyz_mm, label, none, 1)
+    np.testing.assert_array_equal(lower_rims, rims)
+    np.testing.assert_array_equal(lower_by_row, by_row)
+
+
 @pytest.mark.parametrize(
     ("stretched_rows", "longer", "expected"),
     [(0, 1.0, 0.0), (70, 1.5, 0.5), (70, 0.7, 0.3), (30, 1.5, 0.5 * (3 / 7) ** 0.5)],
