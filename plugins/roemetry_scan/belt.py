@@ -70,7 +70,7 @@ def plane_of_belt(points_mm: Floats, near_mm: float) -> Floats:
     # three points on one line span no plane
     good = ~(np.abs(np.linalg.det(design)) < 1e-6)
     planes = np.linalg.solve(design[good], three[good][..., 2:])[..., 0]
-    # nothing of a plane that leans like a flank
+    # no plane that leans as a flank does
     planes = np.ascontiguousarray(planes[~(np.hypot(planes[:, 1], planes[:, 2]) > _LEAN_MAX)])
     best: Floats = np.zeros(3)
     if len(planes):

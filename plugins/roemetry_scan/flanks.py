@@ -31,7 +31,7 @@ their rim. With lines 1.2 mm apart, 30 points are half a product, and volumes ca
 _RIM_PRIOR = 1e-5
 """Weight of a rim on the belt, of one point's equation: it decides where noise alone would."""
 _RIM_ROWS_MIN = 10
-"""Image rows that tell a product's rim where belt is seen right beside it."""
+"""Image rows that tell a product's rim, at least: belt is seen right beside them, and they bend."""
 _DIM_MOST = 4
 """Points in a row that grazing light may lose between a product and the belt: on a translucent ball of 40 mm
 under lines 0.6 mm apart there are up to three."""
@@ -191,12 +191,12 @@ def _along_slices(xyz: Floats, label: Labels, added: Flags, plane: Floats, rims:
 def rims_of(xyz: Floats, label: Labels, added: Flags, products: int, first: int = 1) -> tuple[Floats, Floats]:
     """Give (product + 1,) the height of each one's rim, and (product + 1, row) that of its sections by rows.
 
-    NaN where belt is seen right beside too few of them. The rim is the height at which the conics of rows'
-    outer points end where the rows do, on the mean over rows: the edge of one row lies anywhere between its
-    last line and the first line of belt. Lengths are averaged, not rims: a conic is longer by about as much
-    as its rim is lower, while a rim rises as the root of what an edge is off. The last point is left out: of
-    a sheet of light that reaches beyond the rim only its upper part is seen, which lifts that point by up to
-    0.9 mm. With `first` 0 it counts, too.
+    NaN where belt is seen right beside too few of them, or too few of these bend. The rim is the height at
+    which the conics of rows' outer points end where the rows do, on the mean over rows: the edge of one row
+    lies anywhere between its last line and the first line of belt. Lengths are averaged, not rims: a conic is
+    longer by about as much as its rim is lower, while a rim rises as the root of what an edge is off. The
+    last point is left out: of a sheet of light that reaches beyond the rim only its upper part is seen, which
+    lifts that point by up to 0.3 mm. With `first` 0 it counts, too.
 
     Only the side counts on which fewer points are missing between product and belt. On the other one the belt
     reappears behind a shadow, which says nothing of an edge; thin products have short ones.
@@ -204,6 +204,11 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int, first: int 
     What a row shows lies in a plane that leans towards the camera, the more the farther to the side. Its
     section of a body ends above the body's rim there; the slices' planes, which stand upright, end at that of
     the middle half of the rows.
+
+    Rows that are flat up to where they end tell nothing. Pooled with neighbours that bend, they would bend a
+    little, and tell a rim that is far too high: only rows count that bend by themselves. Groups of rows tell
+    a rim if `_RIM_ROWS_MIN` of them bend. Between groups it is interpolated, over those that tell none, too;
+    where the middle half tells none, its rim is the mean of what is interpolated there.
     """
     points = label.shape[1]
     rims, by_row = np.full(products + 1, np.nan), np.full((products + 1, points), np.nan)
@@ -226,16 +231,22 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int, first: int 
         rows, edges, belts = row[side, :many], edge[side, :many], belt[side, :many]
         far = slice(0, count[1 - side])
         beyond = _beyond_last(xyz, rows, edges, belts, unseen[side, :many])
-        beyond += _cut_off(xyz, rows, belts, row[1 - side, far], edge[1 - side, far], belt[1 - side, far])
-        part = slice(many // 4, many - many // 4)
-        rims[number] = _rim_of_rows(xyz, label, added, rows[part], edges[part], beyond[part], way, first)
+        if missing[1 - side] > _DIM_MOST:  # there is a shadow; else the distance to the belt is a spacing
+            beyond += _cut_off(xyz, rows, belts, row[1 - side, far], edge[1 - side, far], belt[1 - side, far])
         groups = min(_RIM_GROUPS, many // _RIM_ROWS_MIN)
         at, told = np.empty(groups), np.empty(groups)
         for g in range(groups):
             part = slice(g * many // groups, (g + 1) * many // groups)
             at[g] = np.mean(rows[part])
             told[g] = _rim_of_rows(xyz, label, added, rows[part], edges[part], beyond[part], way, first)
-        by_row[number] = np.interp(np.arange(points), at, told)
+        tells = np.isfinite(told)
+        if not tells.any():
+            continue
+        by_row[number] = np.interp(np.arange(points), at[tells], told[tells])
+        part = slice(many // 4, many - many // 4)
+        rims[number] = _rim_of_rows(xyz, label, added, rows[part], edges[part], beyond[part], way, first)
+        if math.isnan(rims[number]):
+            rims[number] = np.mean(by_row[number][rows[part]])
     return rims, by_row
 
 
@@ -275,7 +286,8 @@ def _cut_off(
 
     Of a sheet whose middle meets the product, what passes beside it still shows on the belt. As no more than
     a part of the sheet it seems to lie below the belt; it lies on it, where its line of sight does. How
-    oblique that is, the shadow on the other side says, whose length is seen, and the height at its beginning.
+    oblique that is, the shadow on the other side says, whose length is seen, and the height at its beginning:
+    without one nothing does, and light is taken as it is seen.
     """
     long_mm, high_mm = 0.0, 0.0
     for n in range(far_row.size):
@@ -295,7 +307,7 @@ def _rim_of_rows(
 ) -> float:  # fmt: skip
     """Give the height at which the conics of rows' outer points end where the rows do, on the mean, mm.
 
-    0 where they slope down to the belt, NaN where none bends.
+    0 where they slope down to the belt, NaN where fewer than `_RIM_ROWS_MIN` bend.
     """
     slices, many = label.shape[0], row.size
     d, z = np.empty((many, POINTS)), np.empty((many, POINTS))
@@ -306,8 +318,12 @@ def _rim_of_rows(
         if not 0 <= inner < slices or label[start, k] != label[m, k] or label[inner, k] != label[m, k]:
             continue
         end[n] = abs(xyz[start, k, 0] - xyz[m, k, 0]) + beyond[n]
-        count[n] = _last_points(xyz, label, added, start, k, -way, 0, d[n], z[n])
+        near = _last_points(xyz, label, added, start, k, -way, 0, d[n], z[n])
         high = max(high, z[n, 0])
+        for j in range(near):
+            # the row itself bends, not only those pooled with it
+            if xyz[start + j * way, k, 2] > _FLAT * xyz[start, k, 2]:
+                count[n] = near
     low = rim = 0.0
     for _ in range(_HALVINGS + 1):
         longer, told = 0.0, 0
@@ -316,7 +332,7 @@ def _rim_of_rows(
             if length > 0.0:
                 longer += length - end[n]
                 told += 1
-        if told == 0:
+        if told < _RIM_ROWS_MIN:
             return math.nan
         if rim == 0.0 and longer <= 0.0:
             return 0.0

@@ -113,7 +113,7 @@ def _plane(points: Floats) -> Floats:
 def _spacing(points: Floats) -> float:
     """Give the side of the square that each point of a cloud has to itself, mm."""
     area = float(np.prod(np.ptp(points[:, :2], axis=0)))
-    # points fill a part of their rectangle only: a fifth more keeps most pixels lit
+    # points lie unevenly: one per pixel at random leaves 37 % of the pixels empty (1/e), 1.44 leave 24 %
     return math.sqrt(max(area, 1e-12) / len(points)) * 1.2
 
 

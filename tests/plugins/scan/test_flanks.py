@@ -78,6 +78,27 @@ def test_the_shadow_of_a_product_is_no_edge(shadow_mm: float) -> None:
     np.testing.assert_allclose(by_row[1], 5.0, atol=0.2)
 
 
+@pytest.mark.parametrize("flat_rows", [(171, 228), (350, 400), (100, 300)])
+def test_flat_rows_tell_no_rim(flat_rows: tuple[int, int]) -> None:
+    """All rows of a group, some at one end, the middle half: rims came out 4 to 11 mm too high."""
+    xyz_mm, label = half_cylinder(30.0)
+    flat = slice(*flat_rows)
+    xyz_mm[:, flat, 2] = np.where(label[:, flat] == 1, 20.0, xyz_mm[:, flat, 2])
+    rims, by_row = rims_of(xyz_mm, label, np.zeros(label.shape, np.bool_), 1)
+    # rows beside flat ones are pooled with them, and tell rims that are a little too high
+    assert rims[1] == pytest.approx(5.0, abs=0.3)
+    np.testing.assert_allclose(by_row[1], 5.0, atol=0.3)
+
+
+def test_fewer_rows_that_bend_than_a_rim_needs_tell_none() -> None:
+    """Nine bend by themselves; the three beside them only where they are pooled with these."""
+    xyz_mm, label = half_cylinder(30.0)
+    xyz_mm[:, 9:, 2] = np.where(label[:, 9:] == 1, 20.0, xyz_mm[:, 9:, 2])
+    rims, by_row = rims_of(xyz_mm, label, np.zeros(label.shape, np.bool_), 1)
+    assert np.isnan(rims[1])
+    assert np.isnan(by_row[1]).all()
+
+
 def test_light_beside_a_product_lies_where_its_line_of_sight_meets_the_belt() -> None:
     """The product holds back the middle of a sheet, up to 0.3 mm inside; the rest lies 0.3 mm outwards."""
     xyz_mm, label = half_cylinder(18.0, 0.3)
@@ -89,6 +110,18 @@ def test_light_beside_a_product_lies_where_its_line_of_sight_meets_the_belt() ->
     assert rims[1] == pytest.approx(5.0, abs=0.15)
     xyz_mm[first, 2] = 0.0
     assert rims_of(xyz_mm, label, none, 1)[0][1] > 6.0
+
+
+def test_where_there_is_no_shadow_nothing_tells_where_such_light_lies() -> None:
+    """The distance to the belt is a spacing there, however steeply the camera looks down."""
+    xyz_mm, label = half_cylinder(0.0)
+    none = np.zeros(label.shape, np.bool_)
+    rims, by_row = rims_of(xyz_mm, label, none, 1)
+    for beside in (np.roll(label, -1, axis=0), np.roll(label, 1, axis=0)):
+        xyz_mm[(label == 0) & (beside == 1), 2] = -0.3
+    lower_rims, lower_by_row = rims_of(xyz_mm, label, none, 1)
+    np.testing.assert_array_equal(lower_rims, rims)
+    np.testing.assert_array_equal(lower_by_row, by_row)
 
 
 @pytest.mark.parametrize(
