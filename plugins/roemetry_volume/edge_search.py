@@ -74,7 +74,8 @@ _REACH_PX, _SEARCH_PX, _SEARCH_STEP_PX = 5.0, 2.5, 0.25
 _FIT_COHERENT, _FIT_ROUND, _FIT_BEND = 1.0, 1.5, 0.3
 """Of the fit, as above: normals that brightness and places are smoothed over, and the path's stiffness."""
 _FIT_ROUNDS = 5
-"""Fits, each in a window around the one before: the fifth moves the edge by less than 0.02 px."""
+"""Fits, each in a window around the one before. Mostly the fifth moves the edge by less than 0.02 px; on 6 of
+16 wet skeins by `mitsuba` more fits would move it by up to 0.2 px."""
 _TERMS = 6  # four of the brightness and two of place and noise
 _ALIKE_PX = 6.0  # along the contour: texture of belt and product, and what is smoothed over
 _BLUR_PX = 0.6  # of a sharp lens, with the resampling of the image
