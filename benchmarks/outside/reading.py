@@ -118,7 +118,9 @@ def read_rig(folder: Path) -> RenderedRig:
             if leak:
                 faults.append(f"{name}: {leak}; its volume_mm3 is not used")
                 volume = float("nan")
-            grade = "good" if about.get("cls") == "good" else str(about.get("defect") or NO_SKEIN)
+            # a dented egg is no skein either
+            grades = {"good": "good", "defective": str(about.get("defect") or NO_SKEIN)}
+            grade = grades.get(str(about.get("cls")), NO_SKEIN)
             topview = float(about["topview_volume_mm3"])
             plain = one.get("plain", "")
             bodies.append(Body(name, one["laser"], plain, one["truth"], topview, volume, grade))

@@ -181,6 +181,17 @@ def test_truth_that_cannot_be_used_is_one_sentence(
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("cls", "grade"), [("good", "good"), ("defective", "dent"), ("reference", "no skein")]
+)
+def test_only_skeins_have_a_skeins_class(tiny_rig: Path, tmp_path: Path, cls: str, grade: str) -> None:
+    """A dented egg is not a dented skein."""
+    objects = json.loads((tiny_rig / "truth.json").read_text("utf-8"))["objects"]
+    objects["box"] |= {"cls": cls, "defect": None if cls == "good" else "dent"}
+    rig = read_rig(changed(tiny_rig, tmp_path / "rig", {"objects": objects}))
+    assert rig.bodies[0].grade == grade
+
+
 def test_a_mesh_that_is_not_watertight_is_told_and_its_volume_not_used(
     tiny_rig: Path, tmp_path: Path
 ) -> None:
