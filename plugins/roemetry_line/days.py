@@ -18,9 +18,9 @@ from typing import Any
 from roemetry.errors import OutputError, RoemetryError
 from roemetry.io.files import make_folder
 from roemetry_line.line_file import HISTORY, Line
+from roemetry_line.log import log
 from roemetry_line.outbox import Outbox
 from roemetry_line.outlets.database import COLUMNS, NUMBERS, PostgresTable, SqliteTable, connect
-from roemetry_line.process import log
 
 _DAY_S, _HOUR_S = 86400.0, 3600.0  # seconds in each
 _FIRST_S = 60.0

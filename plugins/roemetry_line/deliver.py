@@ -14,8 +14,9 @@ from roemetry.records.live import LineRow
 from roemetry_line.control import Control
 from roemetry_line.days import HourlyTidying
 from roemetry_line.line_file import Line, NamedOutlet
+from roemetry_line.log import log, log_libraries
 from roemetry_line.outbox import Outbox
-from roemetry_line.process import alone, log, log_libraries, settle, stop_event
+from roemetry_line.process import alone, settle, stop_event
 
 _BATCH = 100
 """Rows that are handed to an outlet at once, at most: after an outage they go out by the hundred."""

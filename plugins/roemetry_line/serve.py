@@ -17,10 +17,11 @@ import typer
 from roemetry.errors import ConfigurationError, OutputError
 from roemetry.io.files import exclusive, make_folder
 from roemetry_line.line_file import Line
+from roemetry_line.log import log
 from roemetry_line.outbox import Outbox
 from roemetry_line.page.users import Role, set_password
 from roemetry_line.preflight import preflight
-from roemetry_line.process import log, runs_now, set_by
+from roemetry_line.process import runs_now, set_by
 
 UNIT = """\
 [Unit]

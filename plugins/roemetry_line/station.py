@@ -36,8 +36,9 @@ from roemetry.run.rows import failed, measurements_of
 from roemetry_line import line_file, runs
 from roemetry_line.block_checks import BlockChecks, LaserHealth
 from roemetry_line.live_view import LiveView
+from roemetry_line.log import log, log_libraries
 from roemetry_line.outbox import NewRow, Outbox
-from roemetry_line.process import alone, log, log_libraries, off_main_thread, settle, stop_event
+from roemetry_line.process import alone, off_main_thread, settle, stop_event
 from roemetry_line.rows import Taken, Where, notice_row, product_rows
 
 

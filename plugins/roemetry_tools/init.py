@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from roemetry.cli.options import progress
+from roemetry.cli.progress import progress
 from roemetry.errors import ConfigurationError
 from roemetry_tools.init_project import NewProject, shipped_lines, start_like, start_own
 from roemetry_tools.init_project.layout import Answers

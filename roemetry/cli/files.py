@@ -175,7 +175,7 @@ def simulate(
     The same scene, seed and count give the same bytes with any number of jobs. An item counts once its line
     is in items.jsonl, so an interrupted set contains no half items.
     """
-    from roemetry.cli.options import COMPILING, progress
+    from roemetry.cli.progress import COMPILING, progress
     from roemetry.cli.warm_up import warm_up
     from roemetry.config.scene import Scene
     from roemetry.errors import ConfigurationError

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from roemetry.cli import calibration, files, plugins, run
+from roemetry.cli import calibration, files, learning, plugins, run
 from roemetry.errors import FAULTS, PluginError, RoemetryError
 
 if TYPE_CHECKING:
@@ -174,9 +174,9 @@ for _verb in (
     files.simulate,
     plugins.check_plugin,
     calibration.check_calibration,
-    calibration.check_weight,
-    calibration.fit_classifier,
-    calibration.fit_weight,
+    learning.check_weight,
+    learning.fit_classifier,
+    learning.fit_weight,
     calibration.fit_penetration,
     calibration.target,
     plugins.schema,

@@ -93,7 +93,7 @@ def check_plugin(
     Exit code: 0 every check passed or failed as declared; 1 one did not; 2 there is no such plugin, or a
     stage of it cannot be made.
     """
-    from roemetry.cli.options import progress
+    from roemetry.cli.progress import progress
     from roemetry.testing.kit import conformance, stages_named
 
     stages = stages_named(name)

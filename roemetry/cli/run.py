@@ -75,7 +75,7 @@ def run(
     Exit code: 0 all measured; 1 some products failed (their rows say why); 2 the recipe, the calibration or
     the command line is wrong.
     """
-    from roemetry.cli.options import COMPILING, progress
+    from roemetry.cli.progress import COMPILING, progress
     from roemetry.cli.warm_up import warm_up
     from roemetry.config.overrides import Implied
     from roemetry.config.recipe import Recipe

@@ -31,9 +31,9 @@ from roemetry_line.control import Control
 from roemetry_line.feeds.image import decoded
 from roemetry_line.line_file import Line
 from roemetry_line.live_view import jpeg_of, picture_file, watch
+from roemetry_line.log import log
 from roemetry_line.outbox import Outbox
 from roemetry_line.page.users import MAY, Role, Session, Users
-from roemetry_line.process import log
 from roemetry_line.station import LATENCY_MS
 
 _SILENT_S = 3.0

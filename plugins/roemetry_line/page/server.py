@@ -15,10 +15,11 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from roemetry.errors import ConfigurationError
 from roemetry_line.line_file import Line, PageSection
+from roemetry_line.log import log, log_libraries
 from roemetry_line.outbox import Outbox
 from roemetry_line.page.app import LinePage
 from roemetry_line.page.users import Users
-from roemetry_line.process import log, log_libraries, stop_event
+from roemetry_line.process import stop_event
 
 _END_S = 1
 """Answers that nobody reads would keep the server for ever; after so long they are cut, s."""

@@ -13,15 +13,8 @@ import typer
 from rich.console import Console
 
 from roemetry.calibrating.known_products import read_labels
-from roemetry.cli.options import (
-    cluster_option,
-    executor_of,
-    next_folder,
-    out_option,
-    place,
-    progress,
-    set_option,
-)
+from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, place, set_option
+from roemetry.cli.progress import progress
 from roemetry.errors import ConfigurationError, InterruptedRunError
 from roemetry.io.files import write_whole
 from roemetry.io.remote import folder_for

@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from roemetry.cli.options import COMPILING, Move
+from roemetry.cli.progress import COMPILING, Move
 from roemetry.cli.warm_up import warm_up
 from roemetry.errors import ConfigurationError, OutputError, did_you_mean
 from roemetry.io.files import make_folder, shipped, write_whole

@@ -17,15 +17,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from roemetry.cli.options import (
-    cluster_option,
-    executor_of,
-    next_folder,
-    out_option,
-    place,
-    progress,
-    set_option,
-)
+from roemetry.cli.options import cluster_option, executor_of, next_folder, out_option, place, set_option
+from roemetry.cli.progress import progress
 from roemetry.errors import ConfigurationError, DataError, InterruptedRunError
 from roemetry.io.files import write_whole
 from roemetry.io.remote import folder_for

@@ -16,8 +16,8 @@ import pytest
 
 pytest.importorskip("uvicorn", reason="the extra line has uvicorn")
 
+from roemetry_line.log import _AsLine
 from roemetry_line.page import server as page_server
-from roemetry_line.process import _AsLine
 
 
 async def app(scope: Any, receive: Any, send: Any) -> None:
