@@ -41,7 +41,9 @@ from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.image_levels import median_of, quantile_of
 from roemetry_kernels.robust_fit import solve
 from roemetry_volume.agreement import CONTRADICTION_PX, LEAST_ROWS, brackets_of, contradiction
+from roemetry_volume.ambient_light import SMOOTHED_PX, ambient_light
 from roemetry_volume.circle_light import circle_light
+from roemetry_volume.contour_fusion import confirmed
 from roemetry_volume.edge_search import Scene, edge_around, redrawn
 from roemetry_volume.footprint import area_of
 from roemetry_volume.image_motion import laid_over, logarithm
@@ -54,12 +56,6 @@ _SAMPLED = 5  # means over so many rows and columns tell the belt's middle and s
 
 _BELT_SMOOTH_PX = 5.0
 """The belt's image is smoothed against noise by less than light and texture vary over."""
-_AMBIENT_SMOOTH_PX = 1.2
-"""Noise beside stripes is averaged along the outline, too: little is needed across it."""
-_FILL_PX = 10.0  # about the width of a stripe, whose place is filled from beside it
-_FILLED_SHARE = 0.2  # of the smoothing's weight that lies beside stripes; with less the wider one is taken
-_STRIPE = 6.0
-"""Times the noise: what the opening takes away that much is a stripe."""
 _GRID_PX, _GRID_POINTS = 12, 2500  # of the polynomial through the image's own belt: at least, at most
 _ROUNDS = 6  # of reweighting: the belt's brightness has settled by then
 _RIDGE = 1e-10  # keeps the equations solvable where the belt is seen on one side only
@@ -151,8 +147,8 @@ class EdgeContour(Outliner[EdgeContourOptions]):
             level, on_stripes = _over_belt(chosen.pixels, belt, product), None
         else:
             grid = stripes.across is not None
-            dark = None if belt is None else _ambient(_one(belt), spacing, grid=grid)[0]
-            light, on_stripes = _ambient(_one(chosen.pixels), spacing, grid=grid)
+            dark = None if belt is None else ambient_light(_one(belt), spacing, grid=grid)[0]
+            light, on_stripes = ambient_light(_one(chosen.pixels), spacing, grid=grid)
             level = _over_belt(light, dark, product)
         taken_out = None if on_stripes is None else on_stripes.astype(np.float32)
         many = stripes.stripe_count > 1
@@ -171,7 +167,7 @@ class EdgeContour(Outliner[EdgeContourOptions]):
                 if on_stripes is not None:
                     belt |= _belt_between(stripes, frame.size, spacing)
                 bounds = held.astype(np.float32), belt.astype(np.float32)
-            scene = Scene(level, bounds, taken_out, 0.0 if use_plain else _AMBIENT_SMOOTH_PX, spacing)
+            scene = Scene(level, bounds, taken_out, 0.0 if use_plain else SMOOTHED_PX, spacing)
             edge = edge_around(scene, _ring_around(region, spacing))
             if edge is None:
                 if number in other:
@@ -191,9 +187,16 @@ class EdgeContour(Outliner[EdgeContourOptions]):
                     if left_px < CONTRADICTION_PX and fault is None:
                         continue
                     fault = fault or contradiction(against_px, left_px)
+            if use_plain and known and fault is None and _of_lines(stripes):
+                both = confirmed(edge._replace(std_px=std_px), _one(frame.pixels), scene)
+                edge, std_px = both, both.std_px
             features = features_of(edge.xy_px, chosen.pixels, redrawn(edge))
             outlines.append(Outline(number, edge.xy_px, std_px, features, fault))
         return tuple(outlines)
+
+
+def _of_lines(stripes: StripeMap) -> bool:
+    return stripes.across is None and stripes.dots is None and not stripes.circles
 
 
 def _is_clear(level: NDArray[np.float32], region: Flags) -> bool:
@@ -430,49 +433,6 @@ def _contrast(light: NDArray[np.float32], product: Flags) -> float:
         return float(light.std())
     inside, outside = light[product], light[~product]
     return abs(float(np.median(inside) - np.median(outside))) / (float(outside.std()) + 1e-6)
-
-
-def _ambient(pixels: NDArray[Any], spacing_px: float, *, grid: bool = False) -> tuple[NDArray[Any], Flags]:
-    """Take the stripes out of a laser image.
-
-    Parameters
-    ----------
-    pixels
-        (row, column) grey levels.
-    spacing_px
-        Distance of neighbouring stripes.
-    grid
-        Whether stripes lie across the image, too.
-
-    Returns
-    -------
-    light : ndarray
-        Ambient light in 64ths of a grey level.
-    stripes : ndarray of bool
-        Where a stripe was taken out. What stands there comes from beside it.
-    """
-    import cv2
-
-    width = max(int(0.6 * spacing_px) | 1, 9)  # more than a stripe is wide, less than stripes are apart
-    opened = cv2.morphologyEx(pixels, cv2.MORPH_OPEN, np.ones((1, width), np.uint8))
-    if grid:
-        opened = cv2.min(opened, cv2.morphologyEx(pixels, cv2.MORPH_OPEN, np.ones((width, 1), np.uint8)))
-    taken = pixels.astype(np.float32) - opened
-    usual = median_of(taken.ravel())
-    noise = 1.4826 * median_of(np.abs(taken - usual).ravel())
-    on = (taken > usual + _STRIPE * max(noise, 0.5)).astype(np.uint8)
-    on = cv2.morphologyEx(on, cv2.MORPH_OPEN, np.ones((3, 1), np.uint8))  # single pixels are noise
-    beside = 1.0 - cv2.dilate(on, np.ones((3 if grid else 1, 3), np.uint8)).astype(np.float32)
-
-    def mean(scale_px: float) -> tuple[Floats, Floats]:
-        share = cv2.GaussianBlur(beside, (0, 0), scale_px)
-        total = cv2.GaussianBlur(beside * pixels, (0, 0), scale_px)
-        return total / np.maximum(share, 1e-6), share
-
-    light, share = mean(_AMBIENT_SMOOTH_PX)
-    filled = share <= _FILLED_SHARE
-    light = np.where(filled, mean(_FILL_PX)[0], light)
-    return np.asarray(np.rint(64.0 * light).astype(np.uint16)), filled
 
 
 def _seen_regions(stripes: StripeMap, size: tuple[int, int]) -> dict[int, Flags]:

@@ -39,7 +39,7 @@ from roemetry_volume.footprint import area_of, evenly, normals_of
 _NORMALS = 400
 """Of a contour of some 800 px: one every 2 px, about the image's own resolution across a blurred edge."""
 _LEAST_POINTS, _LEAST_AREA_PX2 = 3, 30.0  # a smaller ring has no inside to compare with
-_NORMAL_REACH = 3  # points to either side that give a normal
+NORMAL_REACH = 3  # points to either side that give a normal
 _ROUND_START = 6.0
 """Normals: the start is a polygon through stripes' ends, whose corners say nothing."""
 
@@ -164,31 +164,54 @@ def edge_around(scene: Scene, start: Floats) -> Edge | None:
     ring = _widely(scene, ring)
     for _ in range(2):
         ring = _steepest(scene.level, *scene.marks, ring)
-    blur_px = math.hypot(_BLUR_PX, scene.blur_px)
-    changed = 0.5
-    if scene.stripes is not None:
-        scene = scene._replace(level=np.exp(scene.level))  # light adds up, its logarithm's noise does not
-    seen = _across(scene, ring)
-    if scene.stripes is None:
-        sharp_px, blur_px = blur_px, _blur_of(seen, blur_px)
-        changed = 0.5 if blur_px == sharp_px else 1.0
-    model = _model(blur_px)
+    if scene.stripes is not None:  # light adds up, its logarithm's noise does not
+        return edge_between_stripes(scene._replace(level=np.exp(scene.level)), ring)
+    sharp_px = math.hypot(_BLUR_PX, scene.blur_px)
+    blur_px = _blur_of(_across(scene, ring), sharp_px)
+    seen, std_px, scatter_px = _fitted(scene, ring, blur_px)
+    unsure = (1 - _BLUR_UNSURE, 1 + _BLUR_UNSURE)
+    narrow, wide = (kinked(*seen, _model(share * blur_px))[0] for share in unsure)
+    changed = 0.5 if blur_px == sharp_px else 1.0
+    model_px = math.hypot(_MODEL_STD_PX, changed * _apart(narrow, wide))
+    return _edge(scene, seen.ring, math.hypot(std_px, model_px), scatter_px)
+
+
+def edge_between_stripes(scene: Scene, ring: Floats) -> Edge | None:
+    """Find the outline in a laser image's ambient light, near a contour that is right but for some pixels.
+
+    Parameters
+    ----------
+    scene
+        Its level is the light itself, not a logarithm.
+    ring
+        (400, 2) the contour to begin with, px.
+
+    Returns
+    -------
+    Edge or None
+        None where too little of it is seen.
+    """
+    seen, std_px, scatter_px = _fitted(scene, ring, math.hypot(_BLUR_PX, scene.blur_px))
+    clear, open_px = _seen(scene, seen.ring)
+    if clear < _CLEAR_LEAST:
+        return None
+    return _edge(scene, seen.ring, math.hypot(std_px, _LASER_STD_PX, open_px), scatter_px)
+
+
+def _fitted(scene: Scene, ring: Floats, blur_px: float) -> tuple[_Across, float, float]:
+    """Move a ring to the brightness's kink; give what lies across it there, and see `kinked`."""
+    seen, model = _across(scene, ring), _model(blur_px)
     for _ in range(_FIT_ROUNDS):
         ring, std_px, scatter_px = kinked(*seen, model)
         seen = _across(scene, ring)
-    unsure_px = _BIASED * max(scatter_px - _USUAL_SCATTER_PX, 0.0)
-    if scene.stripes is None:
-        unsure = (1 - _BLUR_UNSURE, 1 + _BLUR_UNSURE)
-        narrow, wide = (kinked(*seen, _model(share * blur_px))[0] for share in unsure)
-        model_px = math.hypot(_MODEL_STD_PX, changed * _apart(narrow, wide))
-    else:
-        clear, open_px = _seen(scene, ring)
-        if clear < _CLEAR_LEAST:
-            return None
-        model_px = math.hypot(_LASER_STD_PX, open_px)
+    return seen, std_px, scatter_px
+
+
+def _edge(scene: Scene, ring: Floats, std_px: float, scatter_px: float) -> Edge:
     rows, columns = scene.level.shape
     inside = np.clip(ring, -0.5, np.array([columns, rows]) - 0.5)
-    return Edge(inside, math.hypot(std_px, model_px, unsure_px), scatter_px)
+    unsure_px = _BIASED * max(scatter_px - _USUAL_SCATTER_PX, 0.0)
+    return Edge(inside, math.hypot(std_px, unsure_px), scatter_px)
 
 
 _REDRAWN = 8  # times: their mean is then known to a third of their spread
@@ -201,7 +224,7 @@ def redrawn(edge: Edge) -> list[Floats]:
     is fitted and the places that are found are smoothed.
     """
     ring = edge.xy_px
-    noise, normal = _fit_noise(ring.shape[0]), normals_of(ring, _NORMAL_REACH)
+    noise, normal = _fit_noise(ring.shape[0]), normals_of(ring, NORMAL_REACH)
     return [ring + edge.scatter_px * noise[:, k, None] * normal for k in range(_REDRAWN)]
 
 
@@ -263,7 +286,7 @@ def _moved_widely(
     inwards_px, outwards_px
         First distance from the ring that is looked at, and the one after the last.
     """
-    normal = smoothed_around(normals_of(ring, _NORMAL_REACH), bell(_DIRECTION_ROUND / coarser))
+    normal = smoothed_around(normals_of(ring, NORMAL_REACH), bell(_DIRECTION_ROUND / coarser))
     normal /= np.maximum(np.hypot(normal[:, :1], normal[:, 1:]), 1e-9)
     here = (ring - corner + 0.5) / coarser - 0.5
     every = inwards_px + np.arange(math.ceil(outwards_px - inwards_px))
@@ -299,7 +322,7 @@ def _moved(ring: Floats, normal: Floats, off: Floats, round_: float) -> Floats:
 
 def _steepest(level: Image, product: Image, belt: Image, stripes: Image, ring: Floats) -> Floats:
     """Move a ring along its normals to where light changes most; images as in `Scene.marks`."""
-    n, normal, off = ring.shape[0], normals_of(ring, _NORMAL_REACH), _NARROW_OFF_PX
+    n, normal, off = ring.shape[0], normals_of(ring, NORMAL_REACH), _NARROW_OFF_PX
     change = sampled(level, ring, normal, off - _SMOOTH_PX) - sampled(level, ring, normal, off + _SMOOTH_PX)
     change = np.abs(smoothed_around(change, bell(_COHERENT)))
     told = _beside(stripes, ring, normal)
@@ -335,7 +358,7 @@ def across(
     level: Image, product: Image, belt: Image, stripes: Image, ring: Floats
 ) -> tuple[Floats, Floats, Flags, Flags]:
     """Give what `_Across` holds beside the ring."""
-    normal = normals_of(ring, _NORMAL_REACH)
+    normal = normals_of(ring, NORMAL_REACH)
     light = smoothed_around(sampled(level, ring, normal, _OFF_PX), bell(_FIT_COHERENT))
     shut = shut_between(product, belt, ring, normal, _PLACES_PX)
     return normal, light, _beside(stripes, ring, normal), shut
@@ -442,7 +465,7 @@ def _seen(scene: Scene, ring: Floats) -> tuple[float, float]:
         far the outline lies from their middles.
     """
     assert scene.stripes is not None
-    normal = normals_of(ring, _NORMAL_REACH)
+    normal = normals_of(ring, NORMAL_REACH)
     steps, shares = _steps(scene, ring)
     away = [_steps(scene, ring + far * normal) for far in (10.0, 14.0, 18.0)]
     told = [share > _FREE_LEAST for _, share in away]
@@ -465,7 +488,7 @@ def _seen(scene: Scene, ring: Floats) -> tuple[float, float]:
 def _steps(scene: Scene, ring: Floats) -> tuple[Floats, Floats]:
     """Give the mean step in light across a ring over neighbours beside stripes, and the share of these."""
     assert scene.stripes is not None
-    normal, off = normals_of(ring, _NORMAL_REACH), np.arange(1.0, 5.0)
+    normal, off = normals_of(ring, NORMAL_REACH), np.arange(1.0, 5.0)
     inside, outside = (sampled(scene.level, ring, normal, sign * off).mean(axis=1) for sign in (-1.0, 1.0))
     on = sampled(scene.stripes, ring, normal, np.arange(-4.0, 5.0)).max(axis=1)
     share = _rounded((on < 0.5).astype(np.float64)[:, None], 3.0)[:, 0]
