@@ -4,11 +4,10 @@ Model. Each product's outline is searched for around the polygon through the end
 stripes, in log(image / empty belt): what is left is how much brighter or darker than the belt each place is.
 The search itself, and how sure an outline is, is `edge_search`.
 
-In a laser image ambient light is what lies beside the stripes: a grey opening along the rows, which takes
-away what is narrower than stripes are apart, finds them, and each place is the mean of what is beside stripes
-around it. The opened image itself would not do: of what is not smooth it keeps the darkest, and moves slanted
-edges of a bright body. What stripes show is used, too: the outline lies outside of the product's stripes, and
-inside of what lies in a row between two neighbouring stripes that are on the belt.
+In a laser image the ambient light beside the stripes is searched (`ambient_light`). What stripes show is
+used, too: the outline lies outside of the product's stripes, and inside of what lies in a row between two
+neighbouring stripes that are on the belt. Where both images are there, the contour is their weighted mean
+(`contour_fusion`).
 
 First the plain image is laid over the laser image by the belt's texture, where ambient light shows it in
 both (`image_motion`); images of which a part does not match are of two scenes, and the product is refused.
@@ -22,6 +21,7 @@ Fails where the product is as bright as the belt and shades evenly into it: then
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -36,6 +36,7 @@ from roemetry.io.tiff import as_stored
 from roemetry.records import Frame, Outline, Reason, StripeMap
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.records.calibration import Calibration
+from roemetry.records.stripes import BELT
 from roemetry.stages import Outliner, StageOptions
 from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.image_levels import median_of, quantile_of
@@ -163,9 +164,12 @@ class EdgeContour(Outliner[EdgeContourOptions]):
                 continue
             bounds = None
             if known:
-                held, belt = _eroded(region), _belt_stripes(stripes, number, frame.size)
+                held, on_belt = _eroded(region), stripes
                 if on_stripes is not None:
-                    belt |= _belt_between(stripes, frame.size, spacing)
+                    on_belt = _with_belt_by_light(stripes, level, region, on_stripes)
+                belt = _belt_stripes(on_belt, number, frame.size)
+                if on_stripes is not None:
+                    belt |= _belt_between(on_belt, frame.size, spacing)
                 bounds = held.astype(np.float32), belt.astype(np.float32)
             scene = Scene(level, bounds, taken_out, 0.0 if use_plain else SMOOTHED_PX, spacing)
             edge = edge_around(scene, _ring_around(region, spacing))
@@ -546,6 +550,41 @@ def _belt_stripes(stripes: StripeMap, number: int, size: tuple[int, int]) -> NDA
     if chains:
         cv2.polylines(drawn, chains, isClosed=False, color=1)
     return drawn
+
+
+def _with_belt_by_light(
+    stripes: StripeMap, level: NDArray[np.float32], region: Flags, on_stripes: Flags
+) -> StripeMap:
+    """Take light on rest lines for belt where the coder left it open but the light beside it is the belt's.
+
+    Behind a body that displaces stripes by a whole spacing, lines on the belt may as well be those of a level
+    surface as high as that. Such a surface would have to be as bright as the belt, too, and begin and end
+    where the light goes on along the same rest line. This keeps an outline away, and is never a label.
+    """
+    stripe, row = np.nonzero(stripes.ambiguous & ~stripes.seen & np.isfinite(stripes.rest_px))
+    column = np.rint(stripes.rest_px[stripe, row]).astype(np.int64)
+    within = (column >= 0) & (column < level.shape[1])
+    stripe, row, column = stripe[within], row[within], column[within]
+    of_product, of_belt = (median_of(level[where]) for where in (region & ~on_stripes, ~region & ~on_stripes))
+    light = level[row, column]
+    like_belt = on_stripes[row, column] & (np.abs(light - of_belt) < np.abs(light - of_product))
+    found = np.zeros(stripes.seen.shape, np.bool_)
+    found[stripe[like_belt], row[like_belt]] = True
+    on_belt = stripes.seen & (stripes.product == BELT)
+    for number in np.flatnonzero(found.any(axis=1)):
+        found[number] &= _joined(on_belt[number], found[number])
+    x_px, product = np.where(found, stripes.rest_px, stripes.x_px), np.where(found, BELT, stripes.product)
+    return replace(stripes, seen=stripes.seen | found, product=product.astype(np.int16), x_px=x_px)
+
+
+def _joined(sure: Flags, found: Flags) -> Flags:
+    """Say which rows lie between sure ones with nothing but sure and found ones, and small gaps, between."""
+    joined, rows = np.zeros_like(sure), np.flatnonzero(sure | found)
+    for piece in np.split(rows, np.flatnonzero(np.diff(rows) > _GAP_ROWS) + 1):
+        ends = piece[sure[piece]]
+        if ends.size:
+            joined[ends[0] : ends[-1]] = True
+    return joined
 
 
 def _belt_between(stripes: StripeMap, size: tuple[int, int], spacing_px: float) -> NDArray[np.uint8]:

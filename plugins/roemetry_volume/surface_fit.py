@@ -100,10 +100,9 @@ class FittedSurface:
     """From which the same product is solved when it has changed a little."""
 
     def heights(self, values: Floats | None = None, rim_shift_mm: float = 0.0) -> Floats:
-        """Height at the nodes, mm; `values` are the plate's there, if they are not its own."""
+        """Height at the nodes, mm, nowhere below the belt; `values` are the plate's, if not its own."""
         u = self.plate.at(LONG_AXIS * self.s, self.v) if values is None else values
-        heights: Floats = self.rim.at(self.s, self.v) + rim_shift_mm + _height(u, self.rim)
-        return heights
+        return np.maximum(self.rim.at(self.s, self.v) + rim_shift_mm + _height(u, self.rim), 0.0)
 
     @property
     def volume_mm3(self) -> float:

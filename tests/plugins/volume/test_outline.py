@@ -386,6 +386,39 @@ def test_the_laser_image_has_an_outline_in_its_ambient_light(rng: np.random.Gene
         EdgeContour(EdgeContourOptions(light="plain")).outline(frame, None, stripes_on(), None)
 
 
+@pytest.mark.parametrize(
+    ("body", "joins", "kept"), [(22.0, True, True), (22.0, False, False), (12.0, True, False)]
+)
+def test_open_light_on_a_rest_line_is_belt_where_it_joins_belt_and_is_as_bright(
+    body: float, joins: bool, kept: bool
+) -> None:
+    """Rows 60 to 99 of the last stripe are ambiguous; a level surface there would be of the body's light."""
+    stripes = stripes_on()
+    last = stripes.x_px.shape[0] - 1
+    column = round(float(stripes.rest_px[last, 0]))
+    level, on_stripes = np.full((ROWS, COLUMNS), 12.0, np.float32), np.zeros((ROWS, COLUMNS), np.bool_)
+    region = np.zeros((ROWS, COLUMNS), np.bool_)
+    region[100:140, 150:200] = True
+    level[region], on_stripes[:, column - 3 : column + 4] = 22.0, True
+    level[60:100, column - 20 :] = 34.0 - body  # as bright as the belt where the body is brighter
+    seen, x_px, ambiguous = stripes.seen.copy(), stripes.x_px.copy(), stripes.ambiguous.copy()
+    product = stripes.product.copy()
+    open_ = np.s_[last, 60:100]
+    seen[open_], x_px[open_], product[open_], ambiguous[open_] = False, math.nan, -1, True
+    if not joins:  # the coder saw nothing in the rows before
+        beside = np.s_[last, :60]
+        seen[beside], x_px[beside], product[beside] = False, math.nan, -1
+    x_std_px = np.where(np.isnan(x_px), math.nan, stripes.x_std_px)
+    margin = np.where(np.isnan(x_px), math.nan, stripes.margin)
+    given = replace(
+        stripes, seen=seen, x_px=x_px, product=product, ambiguous=ambiguous, x_std_px=x_std_px, margin=margin
+    )
+    found = edge_contour._with_belt_by_light(given, level, region, on_stripes)
+    assert found.seen[open_].all() == kept
+    assert found.seen[open_].any() == kept
+    np.testing.assert_array_equal(np.delete(found.seen, last, axis=0), np.delete(given.seen, last, axis=0))
+
+
 def test_images_that_do_not_fit_are_refused(rng: np.random.Generator, tmp_path) -> None:
     plain = plain_image(rng)
     with pytest.raises(StageError, match="the plain-light image is"):
