@@ -56,7 +56,8 @@ the light beyond."""
 _WIDE_BEND, _WIDE_STEP = 0.005, 4
 """Bending costs little, but an edge may run no steeper than 4 px from normal to normal."""
 _OUTWARDS = 0.001
-"""Per pixel. Of two equally clear edges the outer: 100 px count a tenth of a clear edge."""
+"""Per pixel. Of two equally clear edges the outer: 100 px count a tenth of a clear edge. Where no edge is
+clear, nothing draws the path outwards: boxes whose end lies under a stripe came out 5 to 6 % too large."""
 _COHERENT = 2.0
 """Normals, about 4 px, over which gradients are averaged along the edge: texture is shorter."""
 _WIDE_ROUND, _DIRECTION_ROUND = 3.0, 8.0
@@ -299,7 +300,7 @@ def _moved_widely(
     sharp[shut] = 0.0
     clear = max(median_of(sharp.max(axis=1)), 1e-9)
     dark = np.clip(sampled(even, here, normal, places + _LIT_PX / coarser) / _LIT, 0.0, 1.0)
-    cost = dark - np.minimum(sharp / clear, 1.0) - _OUTWARDS * off
+    cost = dark - np.minimum(sharp / clear, 1.0) * (1.0 + _OUTWARDS * off)
     cost[shut] = 1.0
     path = closed_path(cost, _WIDE_BEND, _WIDE_STEP)
     moved = _moved(ring, normal, off[path], _WIDE_ROUND / coarser)
