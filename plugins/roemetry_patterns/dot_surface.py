@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from roemetry_kernels.compiling import float_kernel, inlined, kernel
 from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.lens import sight_lines
 from roemetry_kernels.robust_fit import solve
-from roemetry_patterns.surface_points import points_of
+from roemetry_patterns.surface_points import Chosen, points_of, same_points_of
 
 _SLICES_MIN = 3
 """Lines that show something of the product: a cross hair has two."""
@@ -119,13 +120,14 @@ class DotSurface(VolumeEstimator[StageOptions]):
             true_mm3=None,
             shares=Shares(seen, 0.0, 1.0 - seen),
             reasons=() if scene.outlined else (_NO_OUTLINE,),
-            solution=(best.rim_mm, best.reach, best.size),
+            solution=_Solution(best.rim_mm, best.reach, best.size, scene.chosen),
         )
 
     def redraw(self, product: Product, found: Volume, *, rng: np.random.Generator | None = None) -> Volume:
-        """Estimate a product that has moved a little with rim, reach and size as they were found."""
-        scene = _scene_of(product)
-        kriged = _krige(scene, *found.solution)
+        """Estimate a product that has moved a little with points, rim, reach and size as they were found."""
+        solution: _Solution = found.solution
+        scene = _scene_of(product, solution.chosen)
+        kriged = _krige(scene, solution.rim_mm, solution.reach, solution.size)
         volume = kriged.volume_mm3(scene.nodes(kriged.rim_mm)) + _model_error(found.visible_mm3.budget, rng)
         return replace(found, visible_mm3=replace(found.visible_mm3, value=volume))
 
@@ -144,6 +146,15 @@ _NO_OUTLINE = Reason(
 )
 
 
+class _Solution(NamedTuple):
+    """What an estimate found, and goes on from."""
+
+    rim_mm: float
+    reach: float
+    size: float
+    chosen: Chosen
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class _Scene:
     """Points, and rays through the outline (or the hull on the belt)."""
@@ -155,6 +166,7 @@ class _Scene:
     """start_mm, way: (contour, 3) lines of sight."""
     outlined: bool
     outline_std_px: float
+    chosen: Chosen
 
     @property
     def spacing_mm(self) -> float:
@@ -246,11 +258,17 @@ def _gauss() -> tuple[Floats, Floats]:
     return angle, 0.5 * weight * np.cos(angle)
 
 
-def _scene_of(product: Product) -> _Scene:
-    # dots need not lie on several lines
-    lines_min = _SLICES_MIN if product.calibration.rays is None else 1
-    xyz, std, every_xy = points_of(product.profiles, product.number, lines_min)
+def _scene_of(product: Product, chosen: Chosen | None = None) -> _Scene:
+    """Give a product's points and border; `chosen` says which points, if they were chosen before."""
     outline, view = product.outline, product.view
+    bare = outline is None or view is None  # then all points make the border
+    same = None if chosen is None or bare else same_points_of(product.profiles, chosen)
+    if chosen is not None and same is not None:
+        (xyz, std), every_xy = same, np.empty((0, 2))
+    else:
+        # dots need not lie on several lines
+        lines_min = _SLICES_MIN if product.calibration.rays is None else 1
+        xyz, std, every_xy, chosen = points_of(product.profiles, product.number, lines_min)
     if outline is None and view is not None and len(view.cones):
         raise StageError(
             "circles need an outline, and none was found, or none that agrees with the light: between "
@@ -261,7 +279,7 @@ def _scene_of(product: Product) -> _Scene:
         # upright lines on the hull of the points
         hull = _hull(every_xy)
         start = np.column_stack([hull, np.zeros(len(hull))])
-        return _Scene(xyz, std, start, np.tile([0.0, 0.0, 1.0], (len(hull), 1)), False, math.nan)
+        return _Scene(xyz, std, start, np.tile([0.0, 0.0, 1.0], (len(hull), 1)), False, math.nan, chosen)
     rows, columns = product.calibration.image_size
     contour = outline.xy_px
     if ((contour < 0.5) | (contour > np.array([columns, rows]) - 1.5)).any():
@@ -271,7 +289,7 @@ def _scene_of(product: Product) -> _Scene:
         )
     start, way = sight_lines(view, outline)
     std_px = outline.xy_std_px if math.isfinite(outline.xy_std_px) else _OUTLINE_STD_PX
-    return _Scene(xyz, std, start, way, True, std_px)
+    return _Scene(xyz, std, start, way, True, std_px, chosen)
 
 
 def _larger(scene: _Scene, product: Product, by_px: float) -> _Scene:
