@@ -1,8 +1,9 @@
 """A cubic spline on a grid: its bending energy, the equations that points add, and its values.
 
 A spline on a grid of cells has (cells + 3) coefficients each way; each place is shared by four of them each
-way (uniform cubic B-splines). Those along the shorter side of the grid run fastest, along v if both are equal:
-the band of the equations is then as narrow as it can be, and the time to factor it grows with its square.
+way (uniform cubic B-splines). Those along the shorter side of the grid run fastest, along v if both are
+equal: the band of the equations is then as narrow as it can be, and the time to factor it grows with its
+square.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ Grid = tuple[float, float, float, int, int]
 
 @kernel
 def fastest(grid: Grid) -> tuple[bool, int]:
-    """Say whether the coefficients along s run fastest, not those along v, and how many there are that way."""
+    """Say whether coefficients along s run fastest, not those along v, and how many there are that way."""
     along_s = grid[3] < grid[4]
     return along_s, (grid[3] if along_s else grid[4]) + 3
 
@@ -52,7 +53,8 @@ def bending(grid: Grid, weight: float, ridge: float) -> Floats:
         for b in range(4):
             for c in range(4):
                 for d in range(4):
-                    # a, c along the longer side; b, d along the other; lengths: two derivatives each way and one area
+                    # a, c along the longer side; b, d along the other; lengths: two derivatives each way
+                    # and one area
                     part = bend[a, c] * flat[b, d] + 2.0 * slope[a, c] * slope[b, d]
                     part = weight * (part + flat[a, c] * bend[b, d]) / (side * side)
                     for i in range(slow):
