@@ -276,9 +276,17 @@ def _paint(light: Floats, row: Integers, numbers: Floats) -> None:
         x, height, sigma = numbers[k]
         half = math.ceil(_REACH * min(sigma, 0.1 * columns))
         middle = int(np.rint(x))
-        for column in range(max(middle - half, 0), min(middle + half + 1, columns)):
-            value = height * math.exp(-0.5 * ((column - x) / sigma) ** 2)
-            light[row[k], column] = max(light[row[k], column], value)
+        # from pixel to pixel outwards a Gaussian falls by a ratio that itself falls by a constant one
+        curve = 1.0 / sigma**2
+        top, less = height * math.exp(-0.5 * curve * (middle - x) ** 2), math.exp(-curve)
+        for way in (-1, 1):
+            value, ratio = top, math.exp(-curve * (way * (middle - x) + 0.5))
+            for step in range(half + 1):
+                column = middle + way * step
+                if 0 <= column < columns:
+                    light[row[k], column] = max(light[row[k], column], value)
+                value *= ratio
+                ratio *= less
 
 
 @kernel
