@@ -73,13 +73,10 @@ def turned_generators(cone: Floats, camera_x: Floats, azimuth: Floats) -> Floats
 
 def touching_planes(cones: Floats, camera_x: Floats) -> Floats:
     """Give (stripe, 4) planes that touch halves in their middle, n·X = d, normals towards the camera's x."""
-    found = np.empty((len(cones), 4))
-    for number, cone in enumerate(cones):
-        axis, angle = cone[3:6], cone[6]
-        across = camera_x - (axis @ camera_x) * axis
-        normal = np.cos(angle) * across / np.linalg.norm(across) - np.sin(angle) * axis
-        found[number] = [*normal, normal @ cone[:3]]
-    return found
+    axis, angle = cones[:, 3:6], cones[:, 6:7]
+    across = camera_x - (axis @ camera_x)[:, None] * axis
+    normal = np.cos(angle) * across / np.sqrt(_dot(across, across))[:, None] - np.sin(angle) * axis
+    return np.column_stack([normal, _dot(normal, cones[:, :3])])
 
 
 def _dot(one: Floats, other: Floats) -> Floats:
