@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from roemetry_kernels.compiling import float_kernel, inlined, kernel
 from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.lens import sight_lines
 from roemetry_kernels.robust_fit import solve
-from roemetry_patterns.surface_points import points_of
+from roemetry_patterns.surface_points import Chosen, points_of, same_points_of
 
 _SLICES_MIN = 3
 """Lines that show something of the product: a cross hair has two."""
@@ -119,13 +120,14 @@ class DotSurface(VolumeEstimator[StageOptions]):
             true_mm3=None,
             shares=Shares(seen, 0.0, 1.0 - seen),
             reasons=() if scene.outlined else (_NO_OUTLINE,),
-            solution=(best.rim_mm, best.reach, best.size),
+            solution=_Solution(best.rim_mm, best.reach, best.size, scene.chosen),
         )
 
     def redraw(self, product: Product, found: Volume, *, rng: np.random.Generator | None = None) -> Volume:
-        """Estimate a product that has moved a little with rim, reach and size as they were found."""
-        scene = _scene_of(product)
-        kriged = _krige(scene, *found.solution)
+        """Estimate a product that has moved a little with points, rim, reach and size as they were found."""
+        solution: _Solution = found.solution
+        scene = _scene_of(product, solution.chosen)
+        kriged = _krige(scene, solution.rim_mm, solution.reach, solution.size)
         volume = kriged.volume_mm3(scene.nodes(kriged.rim_mm)) + _model_error(found.visible_mm3.budget, rng)
         return replace(found, visible_mm3=replace(found.visible_mm3, value=volume))
 
@@ -144,6 +146,15 @@ _NO_OUTLINE = Reason(
 )
 
 
+class _Solution(NamedTuple):
+    """What an estimate found, and goes on from."""
+
+    rim_mm: float
+    reach: float
+    size: float
+    chosen: Chosen
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class _Scene:
     """Points, and rays through the outline (or the hull on the belt)."""
@@ -155,6 +166,7 @@ class _Scene:
     """start_mm, way: (contour, 3) lines of sight."""
     outlined: bool
     outline_std_px: float
+    chosen: Chosen
 
     @property
     def spacing_mm(self) -> float:
@@ -171,7 +183,7 @@ class _Scene:
         """Give (contour, 2) the border where the outline is seen at the rim's height."""
         # where the lines of sight are as high as the rim
         along = (rim_mm - self.start_mm[:, 2]) / self.way[:, 2]
-        return np.asarray((self.start_mm + along[:, None] * self.way)[:, :2])
+        return self.start_mm[:, :2] + along[:, None] * self.way[:, :2]
 
     def length_mm(self) -> float:
         """Length of the border."""
@@ -183,33 +195,52 @@ class _Scene:
 
         `per_line`: as many on every line, from border to border.
         """
-        contour = self.contour(rim_mm)
-        # lines run across what is long, so that nodes lie close to each other in both directions
-        turned = not per_line and bool(np.ptp(contour[:, 0]) > np.ptp(contour[:, 1]))
-        if turned:
-            contour = contour[:, ::-1]
-        low, high = float(contour[:, 1].min()), float(contour[:, 1].max())
-        step = (high - low) / _NODES[0]
-        angle, share = _gauss()
-        if per_line:
-            angle = np.linspace(-0.5, 0.5, _NODES[1]) * np.pi
-        place = 0.5 + (0.499 if per_line else 0.5) * np.sin(angle)
-        y = low + step * (np.arange(_NODES[0]) + 0.5)
-        line, x = _crossings(contour, y)  # every line leaves the border as often as it enters it
-        if per_line:
-            first = np.flatnonzero(np.diff(line, prepend=-1))
-            last = np.append(first[1:], line.size) - 1
-            line, left, right = line[first], x[first], x[last]
-        else:
-            line, left, right = line[::2], x[::2], x[1::2]
-        wide = (right - left)[:, None]
-        nodes = np.stack(
-            [left[:, None] + wide * place, np.broadcast_to(y[line, None], (line.size, place.size)),
-             step * wide * share], axis=2,
-        ).reshape(-1, 3)  # fmt: skip
+        angle, share = _evenly() if per_line else _gauss()
+        reach = 0.499 if per_line else 0.5
+        return np.asarray(_nodes_within(self.contour(rim_mm), reach * np.sin(angle), share, per_line))
+
+
+@float_kernel
+def _nodes_within(contour: Floats, place: Floats, share: Floats, per_line: bool) -> Floats:
+    """Give what `_Scene.nodes` does of a contour.
+
+    `place` and `share` are where the nodes of a line lie, from −0.5 to 0.5, and the share of its length that
+    each counts.
+    """
+    count, many = contour.shape[0], place.size
+    low_x, high_x, low, high = contour[0, 0], contour[0, 0], contour[0, 1], contour[0, 1]
+    twice_area = 0.0
+    for k in range(count):
+        ahead = contour[k + 1 if k + 1 < count else 0]
+        twice_area += contour[k, 0] * ahead[1] - contour[k, 1] * ahead[0]
+        low_x, high_x = min(low_x, contour[k, 0]), max(high_x, contour[k, 0])
+        low, high = min(low, contour[k, 1]), max(high, contour[k, 1])
+    # lines run across what is long, so that nodes lie close to each other in both directions
+    turned = not per_line and high_x - low_x > high - low
+    if turned:
+        contour, low, high = contour[:, ::-1].copy(), low_x, high_x
+    step = (high - low) / _NODES[0]
+    y = low + step * (np.arange(_NODES[0]) + 0.5)
+    line, x = _crossings(contour, y)  # every line leaves the border as often as it enters it
+    nodes, n, weight, k = np.empty((line.size // 2 * many, 3)), 0, 0.0, 0
+    while k < line.size:
+        last = k + 1
+        # from border to border, or each stretch within it by itself
+        while per_line and last + 1 < line.size and line[last + 1] == line[k]:
+            last += 1
+        wide = x[last] - x[k]
+        for j in range(many):
+            nodes[n, 0], nodes[n, 1] = x[k] + wide * (0.5 + place[j]), y[line[k]]
+            nodes[n, 2] = step * wide * share[j]
+            weight += nodes[n, 2]
+            n += 1
+        k = last + 1
+    for k in range(n):
         # ends of the lines are between nodes
-        nodes[:, 2] *= abs(_area(contour)) / nodes[:, 2].sum()
-        return nodes[:, [1, 0, 2]] if turned else nodes
+        nodes[k, 2] *= 0.5 * abs(twice_area) / weight
+        if turned:
+            nodes[k, 0], nodes[k, 1] = nodes[k, 1], nodes[k, 0]
+    return nodes[:n].copy()
 
 
 @kernel
@@ -246,11 +277,22 @@ def _gauss() -> tuple[Floats, Floats]:
     return angle, 0.5 * weight * np.cos(angle)
 
 
-def _scene_of(product: Product) -> _Scene:
-    # dots need not lie on several lines
-    lines_min = _SLICES_MIN if product.calibration.rays is None else 1
-    xyz, std, every_xy = points_of(product.profiles, product.number, lines_min)
+def _evenly() -> tuple[Floats, Floats]:
+    """Give as many angles that divide a line for drawing, with the weights of `_gauss`."""
+    return np.linspace(-0.5, 0.5, _NODES[1]) * np.pi, _gauss()[1]
+
+
+def _scene_of(product: Product, chosen: Chosen | None = None) -> _Scene:
+    """Give a product's points and border; `chosen` says which points, if they were chosen before."""
     outline, view = product.outline, product.view
+    bare = outline is None or view is None  # then all points make the border
+    same = None if chosen is None or bare else same_points_of(product.profiles, chosen)
+    if chosen is not None and same is not None:
+        (xyz, std), every_xy = same, np.empty((0, 2))
+    else:
+        # dots need not lie on several lines
+        lines_min = _SLICES_MIN if product.calibration.rays is None else 1
+        xyz, std, every_xy, chosen = points_of(product.profiles, product.number, lines_min)
     if outline is None and view is not None and len(view.cones):
         raise StageError(
             "circles need an outline, and none was found, or none that agrees with the light: between "
@@ -261,7 +303,7 @@ def _scene_of(product: Product) -> _Scene:
         # upright lines on the hull of the points
         hull = _hull(every_xy)
         start = np.column_stack([hull, np.zeros(len(hull))])
-        return _Scene(xyz, std, start, np.tile([0.0, 0.0, 1.0], (len(hull), 1)), False, math.nan)
+        return _Scene(xyz, std, start, np.tile([0.0, 0.0, 1.0], (len(hull), 1)), False, math.nan, chosen)
     rows, columns = product.calibration.image_size
     contour = outline.xy_px
     if ((contour < 0.5) | (contour > np.array([columns, rows]) - 1.5)).any():
@@ -271,7 +313,7 @@ def _scene_of(product: Product) -> _Scene:
         )
     start, way = sight_lines(view, outline)
     std_px = outline.xy_std_px if math.isfinite(outline.xy_std_px) else _OUTLINE_STD_PX
-    return _Scene(xyz, std, start, way, True, std_px)
+    return _Scene(xyz, std, start, way, True, std_px, chosen)
 
 
 def _larger(scene: _Scene, product: Product, by_px: float) -> _Scene:
@@ -315,22 +357,31 @@ class _Kriged:
 
     def spread_mm3(self, nodes: Floats) -> float:
         """Standard deviation of the integral over fields drawn from what points and border leave open."""
-        from scipy.linalg import solve_triangular
+        from scipy.linalg.blas import dsyrk, dtrsm
+        from scipy.linalg.lapack import dpotrf
 
         # every second node tells the spread as well, at an eighth of the time
         some = nodes[::2]
         across = _covariance(some[:, :2], self.place, self.prior)
-        # what points and border leave of the prior's covariance
-        known = solve_triangular(self.factor, across.T, lower=True, check_finite=False)
-        left = _covariance(some[:, :2], some[:, :2], self.prior) - known.T @ known
+        known = dtrsm(1.0, self.factor, across.T, lower=1, overwrite_b=1)
+        # what points and border leave of the prior's covariance, in the lower triangle alone
+        left = _covariance(some[:, :2], some[:, :2], self.prior).T
+        left = dsyrk(-1.0, known, beta=1.0, c=left, trans=1, lower=1, overwrite_c=1)
         own = np.einsum("ii->i", left)
         own += _ROUNDING * float(own.mean())
-        drawn = np.linalg.cholesky(left)
-        # always the same draws, so that the same product gives the same number
-        noise = np.random.default_rng(0).standard_normal((drawn.shape[1], _DRAWS))
-        fields = self.field(some[:, :2])[:, None] + drawn @ noise
+        # what `np.linalg.cholesky` calls after two thirds of its time
+        drawn, failed = dpotrf(left, lower=1, overwrite_a=1)
+        if failed:
+            raise np.linalg.LinAlgError("the covariance that is left is not positive definite")
+        fields = self.field(some[:, :2])[:, None] + drawn @ _draws(len(some))
         weight = some[:, 2] * nodes[:, 2].sum() / some[:, 2].sum()
         return float((weight @ _height(fields, self.rim_mm)).std(ddof=1))
+
+
+@lru_cache(maxsize=4)
+def _draws(count: int) -> Floats:
+    """Give (count, draw) normal numbers: always the same, so that the same product gives the same volume."""
+    return np.random.default_rng(0).standard_normal((count, _DRAWS))
 
 
 _FIRST = _REACHES[1], _SIZES[1]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,8 +50,19 @@ _FLAT_STD_MM = 0.05
 """Beside the points' own uncertainty: skin and print."""
 
 
+class Chosen(NamedTuple):
+    """Which of a product's points count, so that they need not be chosen anew when it has moved a little."""
+
+    place: Integers
+    """(n, 2) slice and place in it of each point that is pooled."""
+    rows: int
+    """Places of a slice that are pooled to one point."""
+    order: Integers
+    """(point,) order of the pooled points."""
+
+
 @lru_cache(maxsize=8)
-def points_of(profiles: Profiles, number: int, lines_min: int) -> tuple[Floats, Floats, Floats]:
+def points_of(profiles: Profiles, number: int, lines_min: int) -> tuple[Floats, Floats, Floats, Chosen]:
     """Give a product's points that count, their standard uncertainties, and where all of them lie.
 
     Parameters
@@ -62,8 +74,8 @@ def points_of(profiles: Profiles, number: int, lines_min: int) -> tuple[Floats, 
 
     Returns
     -------
-    xyz_mm, height_std_mm, every_xy_mm
-        (point, 3), (point,), and (seen point, 2) without any left out.
+    xyz_mm, height_std_mm, every_xy_mm, chosen
+        (point, 3), (point,), (seen point, 2) without any left out; and which points count.
 
     Raises
     ------
@@ -90,13 +102,31 @@ def points_of(profiles: Profiles, number: int, lines_min: int) -> tuple[Floats, 
     every_xy = xyz[:, :2]
     std = np.nan_to_num(std, nan=_FLAT_STD_MM)
     sure = std <= _UNSURE * max(float(np.median(std)), _FLAT_STD_MM)
-    xyz, std = pooled(xyz[sure], std[sure], place[sure])
-    near = beside_neighbours(xyz)
-    xyz, std = xyz[near], std[near]
+    place = place[sure]
+    rows = rows_pooled(len(place))
+    xyz, std, group = pooled(xyz[sure], std[sure], place, rows)
+    near = np.flatnonzero(beside_neighbours(xyz))
     # the order of slices shall not matter, nor which of many points are left out
-    order = np.lexsort(xyz.T)
-    order = order[np.unique(np.linspace(0, len(xyz) - 1, min(len(xyz), _POINTS_MAX)).astype(np.int64))]
-    return xyz[order], np.hypot(std[order], _FLAT_STD_MM), every_xy
+    order = near[np.lexsort(xyz[near].T)]
+    order = order[np.unique(np.linspace(0, len(near) - 1, min(len(near), _POINTS_MAX)).astype(np.int64))]
+    kept = np.zeros(len(xyz), np.bool_)
+    kept[order] = True
+    chosen = Chosen(place[kept[group]], rows, (np.cumsum(kept) - 1)[order])
+    return xyz[order], np.hypot(std[order], _FLAT_STD_MM), every_xy, chosen
+
+
+def same_points_of(profiles: Profiles, chosen: Chosen) -> tuple[Floats, Floats] | None:
+    """Give the points and uncertainties as `points_of` does, of points that were chosen before.
+
+    None where one of them has no place any more.
+    """
+    slice_, place = chosen.place.T
+    xyz = profiles.xyz_mm[slice_, place]
+    if not np.isfinite(xyz).all():
+        return None
+    std = np.nan_to_num(profiles.height_std_mm[slice_, place], nan=_FLAT_STD_MM)
+    xyz, std, _ = pooled(xyz, std, chosen.place, chosen.rows)
+    return xyz[chosen.order], np.hypot(std[chosen.order], _FLAT_STD_MM)
 
 
 @kernel
@@ -169,21 +199,27 @@ def _off_quadratic(xyz_mm: Floats, i: int, which: Integers, apart_mm: float) -> 
     return abs(right[0])
 
 
+def rows_pooled(count: int) -> int:
+    """Give how many places of a line are pooled to one point, of so many points on all lines."""
+    return min(math.ceil(count / _POINTS_MAX), _POOLED_ROWS_MAX)
+
+
 @kernel
-def pooled(xyz_mm: Floats, std_mm: Floats, place: Integers) -> tuple[Floats, Floats]:
-    """Give one point for some that follow each other on a line, where there are more than can count.
+def pooled(xyz_mm: Floats, std_mm: Floats, place: Integers, rows: int) -> tuple[Floats, Floats, Integers]:
+    """Give one point for all of the same `rows` places of a line, and (n,) which one each is part of.
 
     `place` (n, 2) says which slice and which of its points each is, in this order. It is the middle of a
     parabola through them: their mean would lie under a surface that bulges, by a thousandth of a potato's
     height, and all of them do. Dots stand too far apart to be pooled.
     """
-    rows = min(math.ceil(xyz_mm.shape[0] / _POINTS_MAX), _POOLED_ROWS_MAX)
     if rows == 1:
-        return xyz_mm, std_mm
+        return xyz_mm, std_mm, np.arange(std_mm.size)
     found, std, count, end = np.empty_like(xyz_mm), np.empty_like(std_mm), 0, 0
+    group = np.empty(std_mm.size, np.int64)
     while end < std.size:
         first, (slice_, part) = end, (place[end, 0], place[end, 1] // rows)
         while end < std.size and place[end, 0] == slice_ and place[end, 1] // rows == part:
+            group[end] = count
             end += 1
         total, middle = 0.0, 0.0
         for k in range(first, end):
@@ -211,4 +247,4 @@ def pooled(xyz_mm: Floats, std_mm: Floats, place: Integers) -> tuple[Floats, Flo
                 found[count, n] -= (square[n] - mean[n] * second - slope[n] * third / second) / bend * second
         std[count] = (_BEND_STD if told else 1.0) / math.sqrt(total)
         count += 1
-    return found[:count].copy(), std[:count].copy()
+    return found[:count].copy(), std[:count].copy(), group

@@ -1,11 +1,12 @@
 """Lines of a grid in both directions, each as if the other family were not there.
 
 Model. The light of two families of lines adds. Each family is measured by the rows it crosses: one in the
-image, the other in the image turned by 90° counter-clockwise, both by `gaussian`. First only peaks count
-around which the image changes more along its row than down its rows, by the structure tensor; so crossings
-are left out. Peaks in neighbouring rows form lines, and where a line ends and goes on a few rows further, its
-place, height and width are interpolated. So the light of the other family is known, also at crossings, and
-taken away; what is left is measured again. Neither line is then broken or bent where they cross.
+image, the other in the image turned by 90° counter-clockwise; the first time by the middles between their
+flanks, then by `gaussian`. First only peaks count around which the image changes more along its row than
+down its rows, by the structure tensor; so crossings are left out. Peaks in neighbouring rows form lines, and
+where a line ends and goes on a few rows further, its place, height and width are interpolated. So the light
+of the other family is known, also at crossings, and taken away; what is left is measured again. Neither line
+is then broken or bent where they cross.
 
 Uncertainty. The light that was taken away leaves its speckle: where it was L beside a peak of height a, the
 peak's standard uncertainty grows by √(1 + (6 L / a)²). A pixel that was white stays white, for nobody knows
@@ -29,11 +30,14 @@ from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import float_kernel, kernel
+from roemetry_peaks.finding import found
 from roemetry_peaks.gaussian import GaussianOptions, gaussian_peaks
-from roemetry_peaks.peak_window import FWHM_OF_SIGMA
+from roemetry_peaks.peak_window import FWHM_OF_SIGMA, Stripes
 
 _FINE_PX = 1.0
 """Standard deviation of the Gaussian that the image is smoothed with, px: below the width of a line."""
+_FINE_TAPS = 9
+"""Pixels of that Gaussian: out to four standard deviations."""
 _AROUND_PX = 7
 """Side of the square over which squared gradients are averaged, px: two to three widths of a line."""
 _DIRECTED = 4.0
@@ -90,7 +94,10 @@ class GridLines(Extractor[GridLinesOptions]):
         given = self.options
         options = GaussianOptions(threshold=given.threshold, width_max_px=given.width_max_px)
         frames = (frame, turned(frame))
-        upright, across = (gaussian_peaks(each, options, checked=False) for each in frames)
+        # nothing of this first time is kept but the light that it takes away: middles are near enough
+        upright, across = (
+            found(replace(each, sensor=None), options, _middles, checked=False) for each in frames
+        )
         # along its rows the turned frame changes as the frame itself does down its rows
         changes = _changes(frame.pixels)
         along, down = _squares_around(*changes, *_pixels_of(upright))
@@ -102,19 +109,27 @@ class GridLines(Extractor[GridLinesOptions]):
         ]
         # where a line ends behind a crossing, too near for its direction to show, the second round knows it
         for _ in range(_TIMES - 1):
-            found = [
+            measured = [
                 _without(options, each, light, checked=False)
                 for each, light in zip(frames, others, strict=True)
             ]
             others = [
                 _light_of(peaks, sure, turns, crossing)
-                for (peaks, sure, crossing), turns in zip(found, _TURNS, strict=True)
+                for (peaks, sure, crossing), turns in zip(measured, _TURNS, strict=True)
             ][::-1]
         upright, across = (
             _without(options, each, light, checked=True)[0]
             for each, light in zip(frames, others, strict=True)
         )
         return replace(upright, across=across)
+
+
+def _middles(
+    levels: Any, columns: int, stripes: Stripes, white: int, noise: Floats, contrast2: Floats, x_px: Floats,
+    x_std_px: Floats,
+) -> None:  # fmt: skip
+    """Take the middle between the flanks for the centre; the parameters are those of `gaussian_centres`."""
+    x_px[:], x_std_px[:] = stripes.middle, np.nan
 
 
 def turned(frame: Frame) -> Frame:
@@ -157,7 +172,10 @@ def _changes(pixels: Any) -> list[Any]:
     """Give how an image changes along its rows and down its rows, (row, column) each."""
     import cv2
 
-    image = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), _FINE_PX)
+    smoothing = cv2.getGaussianKernel(_FINE_TAPS, _FINE_PX, cv2.CV_32F)
+    # what is made of whole numbers at once needs no copy of the image
+    whole = pixels if pixels.dtype in (np.uint8, np.uint16) else pixels.astype(np.float32)
+    image = cv2.sepFilter2D(whole, cv2.CV_32F, smoothing, smoothing)
     return [cv2.Sobel(image, cv2.CV_32F, *way, ksize=3) for way in ((1, 0), (0, 1))]
 
 
@@ -276,9 +294,17 @@ def _paint(light: Floats, row: Integers, numbers: Floats) -> None:
         x, height, sigma = numbers[k]
         half = math.ceil(_REACH * min(sigma, 0.1 * columns))
         middle = int(np.rint(x))
-        for column in range(max(middle - half, 0), min(middle + half + 1, columns)):
-            value = height * math.exp(-0.5 * ((column - x) / sigma) ** 2)
-            light[row[k], column] = max(light[row[k], column], value)
+        # from pixel to pixel outwards a Gaussian falls by a ratio that itself falls by a constant one
+        curve = 1.0 / sigma**2
+        top, less = height * math.exp(-0.5 * curve * (middle - x) ** 2), math.exp(-curve)
+        for way in (-1, 1):
+            value, ratio = top, math.exp(-curve * (way * (middle - x) + 0.5))
+            for step in range(half + 1):
+                column = middle + way * step
+                if 0 <= column < columns:
+                    light[row[k], column] = max(light[row[k], column], value)
+                value *= ratio
+                ratio *= less
 
 
 @kernel

@@ -47,7 +47,8 @@ _SETTLED_PX = 0.02
 _SINGULAR = 1e-14
 """Of the normal equations' largest element: a smaller pivot is rounding, of texture in one direction only."""
 _GROWTHS = (-0.04, 0.04)
-"""Where nothing is found, images that have grown by so much are tried."""
+"""Where nothing is found, images that have grown by so much are tried; of fine or faint texture only the
+finest level shows it."""
 _SHIFT_MAX = 20
 """Pixels of the finest level, 40 px of the image: shifts that are tried where no fit finds the texture."""
 _GRAIN, _SECOND_MAX = 4, 0.6
@@ -203,12 +204,13 @@ def image_motion(
         # a motion beyond this level's reach may be wrong: none at all is tried, too
         starts = [still, motion] if reach > every / 2.0 else [still]
         if found is None:
+            # on the finest level all shifts are looked at at once, that by none among them
+            shift = _likeliest_shift(finest) if level == 1 else None
+            starts = [still if shift is None else shift]
             starts += [np.array([0.0, 0.0, 0.0, growth]) for growth in _GROWTHS]
         fits = [_fitted(texture, start, every) for start in starts]
         found = max((fit for fit in fits if fit is not None), key=lambda fit: fit.sigmas, default=None)
         motion = still if found is None else found.motion
-    if found is None and (shift := _likeliest_shift(finest)) is not None:
-        found = _fitted(finest, shift, 2.0)
     if found is not None and not found.significant(_MOVED_SIGMAS):
         return found
     unmoved = _parts(finest, still, 2.0)

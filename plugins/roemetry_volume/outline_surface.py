@@ -337,7 +337,7 @@ def _per_mm_of_rim(fused: FittedSurface) -> float:
     over = (np.sign(knots.u) * np.sqrt(np.abs(knots.u)) if upright else knots.u) - _STEP_MM
     fall = (over * np.abs(over) if upright else over) - knots.u
     change = np.zeros_like(fused.plate.right)
-    unused = np.zeros((3 * (fused.plate.grid[4] + 3) + 4, change.size))
+    unused = np.zeros_like(fused.plate.band)
     add_points(unused, change, fused.plate.grid, knots.s, knots.v, fall, knots.weight)
     values = fused.plate.at(LONG_AXIS * fused.s, fused.v) + _moved(fused, change)
     raised = (_volume(fused, values, _STEP_MM) - fused.volume_mm3) / _STEP_MM
@@ -346,7 +346,7 @@ def _per_mm_of_rim(fused: FittedSurface) -> float:
 
 def _rim_right(fused: FittedSurface, rim: Floats, values: Floats) -> Floats:
     change = np.zeros_like(fused.plate.right)
-    unused = np.zeros((3 * (fused.plate.grid[4] + 3) + 4, change.size))
+    unused = np.zeros_like(fused.plate.band)
     add_points(
         unused, change, fused.plate.grid, LONG_AXIS * rim[:, 0], rim[:, 1], values, np.full(rim.shape[0], 6.0)
     )

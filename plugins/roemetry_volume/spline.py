@@ -1,7 +1,9 @@
 """A cubic spline on a grid: its bending energy, the equations that points add, and its values.
 
-A spline on a grid of cells has (cells + 3) coefficients each way, those along v running fastest; each place
-is shared by four of them each way (uniform cubic B-splines).
+A spline on a grid of cells has (cells + 3) coefficients each way; each place is shared by four of them each
+way (uniform cubic B-splines). Those along the shorter side of the grid run fastest, along v if both are
+equal: the band of the equations is then as narrow as it can be, and the time to factor it grows with its
+square.
 """
 
 from __future__ import annotations
@@ -16,13 +18,20 @@ Grid = tuple[float, float, float, int, int]
 
 
 @kernel
+def fastest(grid: Grid) -> tuple[bool, int]:
+    """Say whether coefficients along s run fastest, not those along v, and how many there are that way."""
+    along_s = grid[3] < grid[4]
+    return along_s, (grid[3] if along_s else grid[4]) + 3
+
+
+@kernel
 def bending(grid: Grid, weight: float, ridge: float) -> Floats:
     """Give the thin plate's bending energy, ∫ f_ss² + 2 f_sv² + f_vv², of the spline's coefficients.
 
     Parameters
     ----------
     grid
-        See `Grid`; a spline on it has (cells + 3) coefficients each way, those along v running fastest.
+        See `Grid`.
     weight
         What the energy is multiplied with.
     ridge
@@ -33,20 +42,23 @@ def bending(grid: Grid, weight: float, ridge: float) -> Floats:
     ndarray, shape (bandwidth + 1, coefficients)
         Lower band of the matrix as `scipy.linalg.cholesky_banded` takes it.
     """
-    _, _, side, cells_s, cells_v = grid
-    high = cells_v + 3
-    band = np.zeros((3 * high + 4, (cells_s + 3) * high))
+    side = grid[2]
+    # the energy is the same with both ways exchanged: only which is the longer one counts
+    slow, fast = max(grid[3], grid[4]), min(grid[3], grid[4])
+    high = fast + 3
+    band = np.zeros((3 * high + 4, (slow + 3) * high))
     band[0, :] = ridge
     flat, slope, bend = _unit_grams()
     for a in range(4):
         for b in range(4):
             for c in range(4):
                 for d in range(4):
-                    # a, c along s; b, d along v; lengths: two derivatives each way and one area
+                    # a, c along the longer side; b, d along the other; lengths: two derivatives each way
+                    # and one area
                     part = bend[a, c] * flat[b, d] + 2.0 * slope[a, c] * slope[b, d]
                     part = weight * (part + flat[a, c] * bend[b, d]) / (side * side)
-                    for i in range(cells_s):
-                        for j in range(cells_v):
+                    for i in range(slow):
+                        for j in range(fast):
                             one = (i + a) * high + j + b
                             other = (i + c) * high + j + d
                             # symmetric: the lower band is enough
@@ -100,7 +112,7 @@ def add_points(
     band: Floats, right: Floats, grid: Grid, s: Floats, v: Floats, values: Floats, weights: Floats
 ) -> None:
     """Add weighted points to the normal equations."""
-    high = grid[4] + 3
+    along_s, high = fastest(grid)
     number, part = np.empty(16, np.int64), np.empty(16)
     for a in range(4):
         for b in range(4):
@@ -108,6 +120,8 @@ def add_points(
     for k in range(s.size):
         i, x = _cell(s[k], grid[0], grid[2], grid[3])
         j, y = _cell(v[k], grid[1], grid[2], grid[4])
+        if along_s:
+            i, x, j, y = j, y, i, x
         f, g = _cubics(x), _cubics(y)
         first = i * high + j
         for a in range(4):
@@ -124,10 +138,12 @@ def add_points(
 def values_at(coefficients: Floats, grid: Grid, s: Floats, v: Floats) -> Floats:
     """Evaluate the surface at places (n,)."""
     out = np.zeros(s.size)
-    high = grid[4] + 3
+    along_s, high = fastest(grid)
     for k in range(s.size):
         i, x = _cell(s[k], grid[0], grid[2], grid[3])
         j, y = _cell(v[k], grid[1], grid[2], grid[4])
+        if along_s:
+            i, x, j, y = j, y, i, x
         f, g = _cubics(x), _cubics(y)
         for a in range(4):
             for b in range(4):

@@ -25,7 +25,7 @@ from roemetry_volume.footprint import (
     placed_border,
 )
 from roemetry_volume.rim import Rim, StripePoints, ends_of, fitted_rim, rim_at
-from roemetry_volume.spline import Grid, add_points, bending, values_at
+from roemetry_volume.spline import Grid, add_points, bending, fastest, values_at
 
 LONG_AXIS = 0.4  # by which lengths along the product are shrunk in the plate's coordinates
 _POINTS = 400  # of the outline, evenly spaced
@@ -670,10 +670,13 @@ def off_course(
     left = (weight * (u - guess) ** 2).sum() / (weight * (u - mean) ** 2).sum()
     share = max(1.0 - left, 0.0) ** _BELIEF
     add_points(band, right, grid, s, v, u - share * guess, weight)
+    along_s, high = fastest(grid)
     course = np.empty((cells_s + 3) * (cells_v + 3))
     for k in range(course.size):
         # a cubic B-spline's coefficient k stands for the place k - 1; of a square it is a third less
-        i, j = k // (cells_v + 3) - 1.0, k % (cells_v + 3) - 1.0
+        i, j = k // high - 1.0, k % high - 1.0
+        if along_s:
+            i, j = j, i
         bent = c[3] * (i * i - 1.0 / 3.0) + c[4] * i * j + c[5] * (j * j - 1.0 / 3.0)
         course[k] = share * (c[0] + c[1] * i + c[2] * j + bent)
     return course

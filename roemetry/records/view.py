@@ -16,7 +16,7 @@ import numpy as np
 
 from roemetry.errors import CalibrationError, DataError
 from roemetry.records.arrays import Checker, Floats
-from roemetry.records.cones import half_on_belt, meet_cones
+from roemetry.records.cones import dot, half_on_belt, meet_cones
 from roemetry.records.display import Shown
 
 
@@ -246,7 +246,7 @@ class View(Shown):
         plane = self.planes[np.asarray(stripe)]
         normal, distance = plane[..., :3], plane[..., 3]
         with np.errstate(divide="ignore", invalid="ignore"):
-            along = (distance - (start * normal).sum(axis=-1)) / (way * normal).sum(axis=-1)
+            along = (distance - dot(start, normal)) / dot(way, normal)
         return np.asarray(start + along[..., None] * way)
 
     def at_height(self, xy_px: Floats, z_mm: Any) -> Floats:

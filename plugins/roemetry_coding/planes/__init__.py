@@ -99,11 +99,12 @@ def coded_by_planes(
     refuse_uncodable(peaks, calibration)
     calibration = required_calibration(calibration, "planes", "without planes a peak has no height")
     rest = calibrated_rest_lines(peaks, calibration)
-    problem = build_problem(peaks, calibration, rest, _REACH[0], lines_apart)
+    reaches = _reaches(calibration, rest)
+    problem = build_problem(peaks, calibration, rest, reaches[0], lines_apart)
     refuse_bare_lines(bool(problem.candidates.many.any()), rest.x_px.shape[0])
     solved = cheapest_labels(problem)
     # raised only where bodies stand at the bound: more labels cost time on every line
-    for bound, reach in pairwise(_REACH):
+    for bound, reach in pairwise(reaches):
         if not _bounded(peaks, stripes_of(problem, solved), calibration, rest, bound):
             break
         problem = reaching(problem, calibration, rest, reach)
@@ -144,6 +145,26 @@ def coded_by_planes(
     )
 
 
+def _reaches(calibration: Calibration, rest: RestLines) -> tuple[float, ...]:
+    """Give how high is looked for, first and after, in times the highest that the calibration is meant for.
+
+    At first so far that the next higher label of the highest product is among what is looked at, or no
+    product of that height would be coded at the first try. Where that is more than `_REACH` says, stripes
+    stand so far apart that it adds few labels.
+    """
+    high_mm = calibration.height_range_mm[1]
+    if rest.x_px.shape[0] < 2 or high_mm <= 0.0:
+        return _REACH
+    label_mm = _spacing_px(rest) / float(np.abs(calibration.displacement_px_per_mm).min())
+    first = min(max(_REACH[0], 1.0 + label_mm / high_mm), _REACH[1])
+    return first, *(reach for reach in _REACH if reach > first)
+
+
+def _spacing_px(rest: RestLines) -> float:
+    """Distance of neighbouring stripes on the belt."""
+    return median_of(np.diff(rest.x_px, axis=0).ravel())
+
+
 def _bounded(peaks: Peaks, stripe: Integers, calibration: Calibration, rest: RestLines, bound: float) -> bool:
     """Say whether bodies might be one stripe spacing higher, had heights above the bound been looked at."""
     if rest.x_px.shape[0] < 2:
@@ -153,7 +174,7 @@ def _bounded(peaks: Peaks, stripe: Integers, calibration: Calibration, rest: Res
     per_mm = calibration.displacement_px_per_mm[stripe[body]]
     # to first order: only asked whether one label more would have passed the bound
     height_mm = (peaks.x_px[body] - rest.x_px[stripe[body], peaks.row[body]]) / per_mm
-    label_mm = median_of(np.diff(rest.x_px, axis=0).ravel()) / np.abs(per_mm)
+    label_mm = _spacing_px(rest) / np.abs(per_mm)
     at_bound = np.count_nonzero(height_mm + label_mm > bound * calibration.height_range_mm[1])
     return bool(at_bound > _AT_BOUND_SHARE_MAX * body.size)
 

@@ -19,7 +19,9 @@ from roemetry.records.calibration import Calibration
 from roemetry.testing.scenes import GridRig, frame_of
 from roemetry_coding.grid import GridPlanes, _asked_again, _Families, _followed, _with_thin_parts
 from roemetry_coding.planes import PlanesOptions, coded_by_planes
-from roemetry_patterns.surface_points import pooled
+from roemetry_patterns.dot_surface import DotSurface
+from roemetry_patterns.surface_points import points_of as surface_points_of
+from roemetry_patterns.surface_points import pooled, rows_pooled, same_points_of
 from roemetry_peaks.grid_lines import GridLines
 from roemetry_pinhole.grid import ACROSS, _turning, turned_parameters
 from roemetry_pinhole.pinhole_plane import points_of, view_of
@@ -225,10 +227,11 @@ def test_points_of_a_line_are_pooled_and_dots_are_not(rng: np.random.Generator) 
     row = np.arange(600)
     line = np.column_stack([np.zeros(600), 0.3 * row, 20.0 + 0.05 * rng.standard_normal(600)])
     place = np.column_stack([np.zeros(600, np.int64), row])
-    mean, std = pooled(line, np.full(600, 0.05), place)
+    mean, std, group = pooled(line, np.full(600, 0.05), place, rows_pooled(600))
+    assert (group == row // 4).all()
     assert len(mean) == 150 and np.allclose(std, 0.05 / 2.0)
     assert np.allclose(mean[:, 2], line[:, 2].reshape(150, 4).mean(axis=1))
-    apart, _ = pooled(line, np.full(600, 0.05), place * np.array([1, 16]))
+    apart, _, _ = pooled(line, np.full(600, 0.05), place * np.array([1, 16]), rows_pooled(600))
     assert len(apart) == 600
 
 
@@ -238,13 +241,40 @@ def test_a_pooled_point_lies_on_a_surface_that_bulges() -> None:
     line = np.column_stack([0.1 * along, along, 20.0 - along**2 / 50.0])
     std = np.full(1800, 0.05)
     place = np.column_stack([row // 60, row % 60])
-    found, stated = pooled(line, std, place)
+    found, stated, _ = pooled(line, std, place, rows_pooled(1800))
     assert len(found) == 150
     assert np.abs(found[:, 2] - 20.0 + found[:, 1] ** 2 / 50.0).max() < 1e-9  # mm; means lie 0.02 mm below
     assert np.allclose(stated, 1.5 * 0.05 / np.sqrt(12.0))
     # where single points are of different weight, too
-    found, _ = pooled(line, std * (1.0 + row % 7), place)
+    found, _, _ = pooled(line, std * (1.0 + row % 7), place, rows_pooled(1800))
     assert np.abs(found[:, 2] - 20.0 + found[:, 1] ** 2 / 50.0).max() < 1e-6
+
+
+def test_what_has_not_moved_rests_on_the_points_that_were_chosen() -> None:
+    laser, plain = (
+        cv2.imread(str(GRID / folder / "potato_02.png"), cv2.IMREAD_UNCHANGED)
+        for folder in ("images", "images_plain")
+    )
+    assert laser is not None
+    trace = Recipe.load(GRID, sets=["uncertainty=none"]).trace(laser, plain=plain)
+    product, volume = trace.products[0].product, trace.products[0].volume
+    assert volume is not None
+    xyz, std, every_xy, chosen = surface_points_of(product.profiles, product.number, 3)
+    again = same_points_of(product.profiles, chosen)
+    assert again is not None and len(xyz) == 150 < len(every_xy)
+    assert (again[0] == xyz).all() and (again[1] == std).all()
+    assert DotSurface().redraw(product, volume).visible_mm3.value == volume.visible_mm3.value
+    # a little higher: no other points
+    higher = product.profiles.xyz_mm + np.array([0.0, 0.0, 0.2])
+    moved = same_points_of(replace(product.profiles, xyz_mm=higher), chosen)
+    assert moved is not None and np.allclose(moved[0] - xyz, [0.0, 0.0, 0.2])
+    # a point that has no place any more: they are chosen anew
+    gone = product.profiles.xyz_mm.copy()
+    gone[tuple(chosen.place[0])] = np.nan
+    without = replace(product, profiles=replace(product.profiles, xyz_mm=gone))
+    assert same_points_of(without.profiles, chosen) is None
+    found = DotSurface().redraw(without, volume).visible_mm3.value
+    assert found == pytest.approx(volume.visible_mm3.value, rel=2e-3) and found != volume.visible_mm3.value
 
 
 def test_thin_parts_of_a_product_are_not_belt() -> None:
