@@ -181,8 +181,9 @@ def end_held(outer_mm2: float, inner_mm2: float, wall_share: float = 1.0) -> tup
         A(δ) = A₁·(p·√s + (1 − p)·s),  s = δ / (δ₀ + 1),
 
     the ratio of both areas tells δ₀, the outer slice's distance from the end; up to the inner one there are
-    (½ + p/6)·A₁·(δ₀ + 1). Trapezoids farther in miss what a root bends there, h²/12 of its slope at the inner
-    slice (Euler and Maclaurin): p·(1 − s₀)/24, of a whole body with a slice at its very end 0.04·A₁ at each.
+    (½ + p/6)·A₁·(δ₀ + 1). Farther in areas are concave, and trapezoids miss 1/12 of their slope at the inner
+    slice, in squares of the spacing (Euler and Maclaurin): (2 − p)·(1 − s₀)/24 of A₁, 0.04 to 0.08 with a
+    slice at the very end.
 
     An end more than a spacing away would show in one slice more, so areas that differ less are those of a
     blunt end, whose place is not known: half a spacing on the mean.
@@ -192,7 +193,7 @@ def end_held(outer_mm2: float, inner_mm2: float, wall_share: float = 1.0) -> tup
     ratio, wall = min(max(outer_mm2 / inner_mm2, 0.0), 1.0), wall_share
     root = 2.0 * ratio / (wall + math.sqrt(wall * wall + 4.0 * (1.0 - wall) * ratio)) if ratio > 0.0 else 0.0
     square = root * root
-    bent = wall * (1.0 - square) / 24.0
+    bent = (2.0 - wall) * (1.0 - square) / 24.0
     if square > 0.5:  # from ⅔ of a spacing, where both rules nearly meet, to half of one
         return (2.5 - square) / 3.0, bent
     mean = 0.5 + wall / 6.0
