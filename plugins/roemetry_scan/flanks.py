@@ -35,6 +35,8 @@ _RIM_ROWS_MIN = 10
 _DIM_MOST = 4
 """Points in a row that grazing light may lose between a product and the belt: on a translucent ball of 40 mm
 under lines 0.6 mm apart there are up to three."""
+_RIM_ROWS_OTHERS = 30
+"""Rows beside those of the outermost line that tell it without these, at least: three groups."""
 _RIM_GROUPS = 7
 """Of neighbouring rows, whose usual values tell how sections end from side to side."""
 _DENSE = 5.0
@@ -230,7 +232,7 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int, first: int 
             continue
         rows, edges, belts = row[side, :many], edge[side, :many], belt[side, :many]
         far = slice(0, count[1 - side])
-        beyond = _beyond_last(xyz, rows, edges, belts, unseen[side, :many])
+        beyond = _beyond_last(xyz, rows, edges, belts, unseen[side, :many], way)
         if missing[1 - side] > _DIM_MOST:  # there is a shadow; else the distance to the belt is a spacing
             beyond += _cut_off(xyz, rows, belts, row[1 - side, far], edge[1 - side, far], belt[1 - side, far])
         groups = min(_RIM_GROUPS, many // _RIM_ROWS_MIN)
@@ -269,12 +271,40 @@ def _outermost(label: Labels, added: Flags, number: int, k: int, way: int) -> tu
 
 
 @inlined
-def _beyond_last(xyz: Floats, row: Integers, edge: Integers, belt: Integers, unseen: Integers) -> Floats:
-    """Give (row,) how far rows go on beyond their last points: to half a spacing inside the belt, mm."""
-    beyond = np.empty(row.size)
-    for n in range(row.size):
-        to_belt = abs(xyz[belt[n], row[n], 0] - xyz[edge[n], row[n], 0])
-        beyond[n] = to_belt * (unseen[n] + 0.5) / (unseen[n] + 1.0)
+def _beyond_last(
+    xyz: Floats, row: Integers, edge: Integers, belt: Integers, unseen: Integers, way: int
+) -> Floats:
+    """Give (row,) how far rows go on beyond their last points, up to a spacing inside the belt, mm.
+
+    Seen from above, the edge is a smooth curve that crosses from one spacing of lines to the next between two
+    rows: over a run of rows with their belt in one line it goes from the spacing's outer end to its inner
+    one, or back. Where it comes to its outermost it lies anywhere in one spacing, and all rows there have
+    that error in common: NaN, unless the others are too few.
+    """
+    beyond, many = np.empty(row.size), row.size
+    outermost = np.min(way * belt)
+    first, last = many, -1
+    for n in range(many):
+        if way * belt[n] == outermost:
+            first, last = min(first, n), n
+    begin = 0
+    while begin < many:
+        end = begin
+        while end < many and belt[end] == belt[begin]:
+            end += 1
+        # so many lines farther in the belt begins before the run and after it, 0 where nothing follows
+        before = way * (belt[begin - 1] - belt[begin]) if begin > 0 else 0
+        after = way * (belt[end] - belt[begin]) if end < many else 0
+        slope = 0
+        if before * after < 0:
+            slope = 1 if after > 0 else -1
+        for n in range(begin, end):
+            share = 0.5 + slope * (0.5 - (n + 0.5 - begin) / (end - begin))
+            to_belt = abs(xyz[belt[n], row[n], 0] - xyz[edge[n], row[n], 0])
+            beyond[n] = to_belt * (unseen[n] + share) / (unseen[n] + 1.0)
+        begin = end
+    if many - (last + 1 - first) >= _RIM_ROWS_OTHERS:
+        beyond[first : last + 1] = math.nan
     return beyond
 
 
@@ -316,6 +346,8 @@ def _rim_of_rows(
         k, m, start = row[n], edge[n], edge[n] + first * way
         inner = start + way
         if not 0 <= inner < slices or label[start, k] != label[m, k] or label[inner, k] != label[m, k]:
+            continue
+        if math.isnan(beyond[n]):
             continue
         end[n] = abs(xyz[start, k, 0] - xyz[m, k, 0]) + beyond[n]
         near = _last_points(xyz, label, added, start, k, -way, 0, d[n], z[n])

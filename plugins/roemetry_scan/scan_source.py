@@ -20,6 +20,7 @@ import re
 from array import array
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -39,6 +40,8 @@ _VIDEOS = (".avi", ".mp4", ".mkv", ".mov")
 _COUNT, _NUMBER, _FILE = "encoder_count", "frame_number", "file"
 _COUNT_IN_NAME = r"c(-?\d+)"
 """Of a frame in a folder without counts.csv, which can say the same of files with any other names."""
+_M_ARENA_MAX = -8
+"""Of glibc's `mallopt`: how many heaps there are at most."""
 _DECODERS, _AHEAD = 2, 4
 """Threads that decode a folder's frames, and how many frames they are ahead: with two, decoding keeps up with
 measuring where there are two cores."""
@@ -192,7 +195,20 @@ def _decoded(path: Path) -> Any:
 
 @lru_cache(maxsize=1)
 def _decoders() -> ThreadPoolExecutor:
+    _share_heap()
     return ThreadPoolExecutor(_DECODERS)
+
+
+def _share_heap() -> None:
+    """Let decoding threads take memory from the program's heap; where it cannot be told to, nothing changes.
+
+    glibc gives each thread a heap of its own, which keeps what it once held: 16 MB in a run of 3,053 frames
+    of half a megabyte.
+    """
+    import ctypes
+
+    with suppress(AttributeError, OSError, TypeError):  # another C library, or none that is found by itself
+        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 
 if hasattr(os, "register_at_fork"):

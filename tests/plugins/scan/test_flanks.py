@@ -167,6 +167,18 @@ def half_ellipsoid(lines_mm: np.ndarray, shadow_mm: float) -> tuple[np.ndarray, 
     return np.stack([x_mm, y_mm, z_mm], axis=-1), label, plane
 
 
+@pytest.mark.parametrize("first_mm", np.linspace(0.0, 1.0, 8, endpoint=False))
+def test_a_rim_does_not_depend_on_where_the_outermost_line_lies(first_mm: float) -> None:
+    """All rows that end under one line share its distance from the edge.
+
+    With half a spacing for all of them, rims were up to 0.37 mm off, and those of rows up to 1.06 mm.
+    """
+    xyz_mm, label, _ = half_ellipsoid(first_mm + np.arange(-25.0, 35.0), 12.0)
+    rims, by_row = rims_of(xyz_mm, label, np.zeros(label.shape, np.bool_), 1)
+    assert rims[1] == pytest.approx(10.0, abs=0.2)
+    np.testing.assert_allclose(by_row[1], 10.0, atol=0.5)
+
+
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_a_row_that_does_not_bend_or_hardly_ends_where_those_beside_it_do(way: float) -> None:
     """Whichever way X runs from line to line: rows were followed to the belt, 10 mm beyond their product."""
@@ -185,21 +197,29 @@ def test_a_row_that_does_not_bend_or_hardly_ends_where_those_beside_it_do(way: f
     assert (np.diff(points[added[:, flat], flat, 2]) * way < 0.0).all()
 
 
-def test_ends_between_lines_cost_nothing_on_the_mean() -> None:
-    """An upright cylinder of 40 mm under lines 2 mm apart, its end anywhere between two of them."""
+@pytest.mark.parametrize(("wall_mm", "dome_mm"), [(10.0, 0.0), (0.0, 20.0), (20.0, 20.0)])
+def test_ends_between_lines_cost_nothing_on_the_mean(wall_mm: float, dome_mm: float) -> None:
+    """A cylinder of 40 mm, a half ball, and one on the other, 2 mm apart: ends anywhere between two lines.
+
+    A quarter of a spacing at each end, formerly, made the cylinder 0.94 % too small; taken for walls, with
+    trapezoids farther in, the half ball was 0.27 % and both together 0.35 % too small.
+    """
     radius_mm, spacing_mm = 20.0, 2.0
+    volume_mm3 = np.pi * radius_mm**2 * (wall_mm + 2.0 / 3.0 * dome_mm)
     off = []
     for first in np.linspace(0.0, spacing_mm, 40, endpoint=False):
         at_mm = np.arange(-radius_mm + first, radius_mm, spacing_mm)
-        area_mm2 = 2.0 * 10.0 * np.sqrt(np.maximum(radius_mm**2 - at_mm**2, 0.0))
+        half_mm = np.sqrt(np.maximum(radius_mm**2 - at_mm**2, 0.0))
+        wall_mm2 = 2.0 * wall_mm * half_mm
+        area_mm2 = wall_mm2 + 0.5 * np.pi * half_mm**2 * dome_mm / radius_mm
         held_mm = np.full(at_mm.size, spacing_mm)
         held_mm[[0, -1]] = 0.5 * spacing_mm
         for end, inner in ((0, 1), (-1, -2)):
-            outer_held, inner_held = end_held(float(area_mm2[end]), float(area_mm2[inner]))
+            share = float(wall_mm2[inner] / area_mm2[inner])
+            outer_held, inner_held = end_held(float(area_mm2[end]), float(area_mm2[inner]), share)
             held_mm[end] += outer_held * spacing_mm
             held_mm[inner] += inner_held * spacing_mm
-        off.append(area_mm2 @ held_mm / (np.pi * radius_mm**2 * 10.0) - 1.0)
-    # a quarter of a spacing at each end, formerly, made it −0.0094
+        off.append(area_mm2 @ held_mm / volume_mm3 - 1.0)
     assert np.mean(off) == pytest.approx(0.0, abs=1.5e-3)
     assert np.max(np.abs(off)) < 4e-3
     # a wall: half a spacing on the mean
