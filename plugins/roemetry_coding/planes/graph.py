@@ -76,8 +76,9 @@ class Weights(NamedTuple):
 
 WEIGHTS = Weights()
 
-_LOOK_BACK = 4
-"""Up to three peaks side by side may be false; more are no single reflection but another product."""
+LOOK_BACK = 4
+"""Peaks on a line before a peak that may be its neighbour: up to three side by side may be false; more are
+no single reflection but another product. Costs of pairs are listed by it."""
 _HIDDEN = 0.06
 """What a stripe left out costs where it would be hidden, of what it costs where it would be seen: hidden by
 chance, it is still the rarer case."""
@@ -214,7 +215,7 @@ def pair_costs_of(
     # pairs are counted first, so that the arrays can be made in one piece
     for e in range(count_lines):
         for p in range(start[e], start[e + 1]):
-            for q in range(max(start[e], p - _LOOK_BACK), p):
+            for q in range(max(start[e], p - LOOK_BACK), p):
                 pairs += 1
                 costs += count[p] * count[q]
     pair = np.empty((pairs, 3), np.int64)
@@ -232,7 +233,7 @@ def pair_costs_of(
     for e in range(count_lines):
         rising = _rising(plane[e])
         for p in range(start[e], start[e + 1]):
-            for q in range(max(start[e], p - _LOOK_BACK), p):
+            for q in range(max(start[e], p - LOOK_BACK), p):
                 pair[n, 0], pair[n, 1], pair[n, 2] = q, p, c
                 n += 1
                 apart_px = (u[p] - u[q]) / u_per_px

@@ -58,7 +58,7 @@ from roemetry_kernels.tracing import cut_at_rest_lines, trace_fragments
 
 _STEP_MAX_PX = 7.0
 """Longest step of a trace from row to row, px: a surface that falls by 80 degrees along the stripe."""
-_OUTER_SHARE = 0.1
+OUTER_SHARE = 0.1
 """Share of the image's rows, at its top and bottom, where belt is expected."""
 _BELT_ROWS_MIN = 6
 """A trace on a rest line for fewer rows crosses it."""
@@ -162,7 +162,7 @@ def build_problem(
     # a stripe that is found with probability p, and is not seen, costs −log(1 − p); WEIGHTS.unseen at most
     rows, stripes = peaks.image_size[0], presence.shape[1]
     # by the image's top and bottom, where nothing can cover the belt
-    outer = math.ceil(_OUTER_SHARE * rows)
+    outer = math.ceil(OUTER_SHARE * rows)
     found = found_share(peaks.row, rest.line, stripes, rows, outer)
     surprise = np.minimum(-np.log1p(-np.minimum(found, _FOUND_MAX)) / WEIGHTS.unseen, 1.0)
     # a faint stripe's belt may be in pieces too short to follow, and is there all the same
@@ -220,7 +220,7 @@ def _pieces(peaks: Peaks, rest: RestLines, lines: EpipolarLines) -> tuple[Pieces
     trace, traces = trace_fragments(peaks.row_start, peaks.x_px, _STEP_MAX_PX)
     line = on_rest_line(
         peaks.row, peaks.x_px, trace, rest.line, rest.x_px, rest.tolerance_px, rest.offset_px,
-        math.ceil(_OUTER_SHARE * rows),
+        math.ceil(OUTER_SHARE * rows),
     )  # fmt: skip
     # a peak alone between bare lines is kept apart from its run: `line + stripes` cuts there
     alone = between_bare(peaks.row, line, stripes, rows, _BARE_ROWS)
