@@ -40,7 +40,6 @@ _TERMS = 7  # of the equation: z and six of Q
 _NODES = 12  # of the midpoint rule along the end, which is smooth but for its tip
 _BEYOND = 1.15  # of the farthest the end may reach: a quadric still open there does not close
 _AREA_OFF = 0.3  # of the outer slice: a quadric whose section differs by more is another body
-_OFF_MM = 0.25  # several times a height's noise: points farther off lie on no quadric
 _LARGER = 1.25  # than all that was seen, in height or half-width: no end grows so much unseen
 
 
@@ -111,7 +110,7 @@ def quadric_end(
     # (z − r)² off by e is z off by e / 2 (z − r)
     residual_mm = _UNIT_MM * _misfit(means, count, c) / (2.0 * max(abs(tall - r), 0.01))
     # closed along and across, with its rim below the points
-    if not (c[4] < 0.0 and c[6] < 0.0 and r < tall and residual_mm < _OFF_MM):
+    if not (c[4] < 0.0 and c[6] < 0.0 and r < tall):
         return nothing
     # Q in the local frame, where the plane of the outer slice is x = q·y + m·z
     q, m = -sign * ny / nx, -sign * nz / nx
