@@ -388,6 +388,9 @@ def main() -> None:
     parser.add_argument("--disturbed", type=int, default=2, help="disturbed images of each recipe")
     parser.add_argument("--seed", type=int, default=1, help="of the disturbances")
     parser.add_argument("--but", nargs="*", default=[], help="names that are no quantities")
+    parser.add_argument(
+        "--to", nargs="*", default=[], help="NAME=VALUE: these changes instead, to leave rules out"
+    )
     parser.add_argument("--page", action="store_true", help=f"write the record into {PAGE.name}")
     given = parser.parse_args()
     if given.patterns:
@@ -413,13 +416,14 @@ def measure(given: argparse.Namespace) -> None:
     again = after({})
     if any(value for name, value in again.items() if name != "images"):
         raise SystemExit(f"measured again without any change, results differ: {again}")
-    done = {(row["module"], row["constant"], row["factor"]) for row in kept(given.record)}
+    done = {(row["module"], row["constant"], row["changed"]) for row in kept(given.record)}
+    instead = {name: [ast.literal_eval(to)] for name, to in (one.split("=") for one in given.to)}
     for (module, name), value in keys.items():
-        for factor in FACTORS:
-            if (module, name, factor) not in done:
-                to = changed_by(value, factor)
+        usual = () if instead else [changed_by(value, factor) for factor in FACTORS]
+        for to in instead.get(name, usual):
+            if (module, name, repr(to)) not in done:
                 what = {"module": module, "constant": name, "value": repr(value), "changed": repr(to)}
-                keep(given.record, {**what, "factor": factor, **after({(module, name): to})})
+                keep(given.record, {**what, **after({(module, name): to})})
 
 
 def page_of(rows: Sequence[dict[str, Any]]) -> str:
