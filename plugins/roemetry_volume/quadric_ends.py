@@ -40,7 +40,9 @@ _TERMS = 7  # of the equation: z and six of Q
 _NODES = 12  # of the midpoint rule along the end, which is smooth but for its tip
 _BEYOND = 1.15  # of the farthest the end may reach: a quadric still open there does not close
 _AREA_OFF = 0.3  # of the outer slice: a quadric whose section differs by more is another body
-_LARGER = 1.25  # than all that was seen, in height or half-width: no end grows so much unseen
+_LARGER = 1.25
+"""Than all that was seen, in height or half-width: no end grows so much unseen. A larger bound changes
+nothing on 66 images, for the section tells, too; at 1.0 volumes change by up to 1.8 %."""
 
 
 @float_kernel
@@ -414,7 +416,9 @@ def shadow_of(c: Floats, m: float, q: float, fanning: float) -> float:
 
 
 _APART = 3  # points: near enough for a parabola, far enough for noise
-_FARTHEST = 8.0  # of the points' distance: more than the camera does not see of a steep rim
+_FARTHEST = 8.0
+"""Of the points' distance: more than the camera does not see of a steep rim. At 6.4 volumes change by up to
+0.8 %; without the bound by up to 20 %."""
 
 
 @float_kernel
