@@ -26,6 +26,7 @@ from functools import cache, partial
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from multiprocessing import get_context
 from pathlib import Path
+from textwrap import fill
 from types import CodeType
 from typing import Any, NamedTuple
 
@@ -41,6 +42,8 @@ from roemetry.run.rows import measurements_of
 
 PAGE = ROOT / "docs" / "measurements" / "constants.md"
 FACTORS = (0.8, 1.25)
+_SEEN = 0.005
+"""Percent: what is less is 0.00 in the table, and no change."""
 _ROOM = np.zeros((2, 4096, 2))
 _FLOATS, _INTEGERS = _ROOM[0, :, 0], _ROOM[1, :, 0].view(np.int64)
 """What kernels look up. numba reads arrays that are not contiguous where they lie, and copies others."""
@@ -449,12 +452,12 @@ def page_of(rows: Sequence[dict[str, Any]]) -> str:
             worst = [max(row.get(figure, 0.0) for row in both) for figure in figures]
             others = max(len(row.get("outcomes", ())) for row in both)
             value = both[0]["value"] if len(both[0]["value"]) < 30 else "several"
-            if any(worst) or others or broken:
-                cells = [f"`{name}`", value, *(number(one, 3) for one in worst), broken or str(others)]
+            if max(worst) >= _SEEN or others or broken:
+                cells = [f"`{name}`", value, *(number(one, 2) for one in worst), broken or str(others)]
                 lines.append((-worst[1], cells))
             else:
                 still.append(f"`{name}` ({value})")
         body = table(head, [cells for _, cells in sorted(lines)]) if lines else ""
-        quiet = f"\nNothing changes with {', '.join(still)}.\n" if still else ""
-        parts.append(f"**{module}**\n\n{body}{quiet}")
+        quiet = fill(f"Nothing changes with {', '.join(still)}.", 150) if still else ""
+        parts.append(f"**{module}**\n\n{body}\n{quiet}\n")
     return "\n".join(parts)
