@@ -88,9 +88,11 @@ that are about 2 widths of 1 to 3.5 px apart."""
 _LEFT_OUT_MAX = 4
 """So many stripes further on, one that is apart and inside the image is counted from sums, to save time."""
 _CLIFF = 0.5
-"""A step is a break from this many label heights on: there the next stripe's label fits as well."""
+"""A step is a break from this many label heights on: there the next stripe's label fits as well. At
+0.4 up to 4 % of an image's points change, and volumes from slices by up to 0.3 %; at 0.62 0.5 and 1.1 %."""
 _RIM = 1.0 / 3.0
-"""A break between belt and body, of one amid a body: every body has two, amid it they are rare."""
+"""A break between belt and body, of one amid a body: every body has two, amid it they are rare. At 0.27 or
+0.42 up to 0.3 % of an image's points change, and volumes from slices by up to 1.1 %."""
 _THERE = 0.2
 """A stripe that is there as surely as this costs nothing: a fifth of the rows that make it certain."""
 _FILM = 0.1
