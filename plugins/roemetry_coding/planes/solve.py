@@ -70,7 +70,9 @@ _FOUND_MAX = 0.99
 """A stripe found in this share of the rows is as good as always found: 1 − e⁻⁴ = 0.982 gives 4, the full
 weight `unseen`."""
 _END_ROWS = 8
-"""Cut off where a belt ends amid the image: a body may have begun within the tolerance, rows."""
+"""Cut off where a belt ends amid the image: a body may have begun within the tolerance, rows. With 6 or 10 no
+more than 0.4 % of an image's points change, but they lie at products' ends: single volumes from slices change
+by up to 4.2 % (r.m.s. 1.2), more than by any other constant of the coder."""
 _BORDER_ROWS = 12
 """Belt that ends this near to the image's border is taken to leave it, rows: a peak or two may be missing."""
 _PRESENT_SHARE = 0.2
