@@ -40,8 +40,9 @@ _TERMS = 7  # of the equation: z and six of Q
 _NODES = 12  # of the midpoint rule along the end, which is smooth but for its tip
 _BEYOND = 1.15  # of the farthest the end may reach: a quadric still open there does not close
 _AREA_OFF = 0.3  # of the outer slice: a quadric whose section differs by more is another body
-_OFF_MM = 0.25  # several times a height's noise: points farther off lie on no quadric
-_LARGER = 1.25  # than all that was seen, in height or half-width: no end grows so much unseen
+_LARGER = 1.25
+"""Than all that was seen, in height or half-width: no end grows so much unseen. A larger bound changes
+nothing on 66 images, for the section tells, too; at 1.0 volumes change by up to 1.8 %."""
 
 
 @float_kernel
@@ -111,7 +112,7 @@ def quadric_end(
     # (z − r)² off by e is z off by e / 2 (z − r)
     residual_mm = _UNIT_MM * _misfit(means, count, c) / (2.0 * max(abs(tall - r), 0.01))
     # closed along and across, with its rim below the points
-    if not (c[4] < 0.0 and c[6] < 0.0 and r < tall and residual_mm < _OFF_MM):
+    if not (c[4] < 0.0 and c[6] < 0.0 and r < tall):
         return nothing
     # Q in the local frame, where the plane of the outer slice is x = q·y + m·z
     q, m = -sign * ny / nx, -sign * nz / nx
@@ -415,7 +416,9 @@ def shadow_of(c: Floats, m: float, q: float, fanning: float) -> float:
 
 
 _APART = 3  # points: near enough for a parabola, far enough for noise
-_FARTHEST = 8.0  # of the points' distance: more than the camera does not see of a steep rim
+_FARTHEST = 8.0
+"""Of the points' distance: more than the camera does not see of a steep rim. At 6.4 volumes change by up to
+0.8 %; without the bound by up to 20 %."""
 
 
 @float_kernel

@@ -18,9 +18,13 @@ from roemetry_kernels.compiling import float_kernel, kernel
 from roemetry_kernels.image_levels import median_of
 from roemetry_kernels.robust_fit import robust_fit
 
-_LENGTH_MM = 5.0  # of a stripe's end: long enough for a curve through it, short beside a product's width
+_LENGTH_MM = 5.0
+"""Of a stripe's end: long enough for a curve through it, short beside a product's width. At 4 mm volumes
+change by up to 0.7 % and standard uncertainties by up to 32 %, at 6.25 mm by 0.04 and 1.5 %."""
 _HEIGHT_STD_MM = 0.1  # of a point near the rim, where light grazes
-_SPREAD_FLOOR_MM = 0.2  # no end knows the rim better: its last lit row lies up to a row above it
+_SPREAD_FLOOR_MM = 0.2
+"""No end knows the rim better: its last lit row lies up to a row above it. Without it volumes change by up to
+0.3 %."""
 _UPRIGHT_LEAST = 0.35  # of the ends' uprightness (0 a slope, 1 a dome) at the median
 _WALL_SLOPE, _WALL_MM = 12.0, 1.0  # steeper than a dome is from row to row, over at least so much
 _RIDGE = np.array([0.0, 0.05, 0.05, 0.2])

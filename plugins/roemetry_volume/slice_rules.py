@@ -31,7 +31,9 @@ WAIST = 0.35
 """A slice under that share of some on both sides of it is a waist."""
 
 _BEYOND = 1.15
-"""A taper that would reach so many times the way to the next stripe, which shows belt, is half believed."""
+"""A taper that would reach so many times the way to the next stripe, which shows belt, is half believed.
+Volumes from slices depend most on this: at 1.44 they change by up to 1.8 % (r.m.s. 0.6), at 0.92 by 0.5 %,
+and their standard uncertainty by up to 82 %."""
 _SURE = 16
 """How fast that belief falls: from 0.9 at 1.0 of the way to 0.1 at 1.3. A step would make volume and interval
 jump with the noise."""
@@ -42,15 +44,18 @@ _OPEN_TAPER_STD = 0.35  # the same with no stripe beyond that shows belt
 _QUADRIC_STD = 0.12  # of a quadric's cap
 _SHADOW_STD = 0.5  # of what leaning light counts too much behind an end, by the quadric
 _RIM_STD = 0.3  # of that triangle below the rim, where no quadric tells it
-_FITS_MM = 0.07  # a quadric that misses the points by so much is believed by half
+_FITS_MM = 0.07  # a quadric that misses the points by so much is believed by half; ± 0.015: 0.4 % at most
 _HARDLY = 0.02  # trust: less changes nothing that anyone could measure
 _BLUNT_STD = 2.0 / math.sqrt(12.0)  # of a cap of half the way to the next stripe
 _WALL_STD = 0.5 / math.sqrt(3.0)  # of the way that a plane leans over the height of an end wall
 _LEVEL = 0.9
 """Of the next slice's height: an outer slice so high may have an upright end beyond it or before it, anywhere
-up to the next stripes, and light that leans passes over that (a rectangle each)."""
+up to the next stripes, and light that leans passes over that (a rectangle each). Intervals depend most
+on this: at 0.72 some are 3.2 times as wide (r.m.s. 56 %), without the rule all 19 % narrower (r.m.s.)."""
 _OPEN_SPACINGS = 2.0  # beyond the outer slice, and
-_OPEN_SHARE = 0.2  # of the product's lit length; beyond either, an open end's taper is not believed
+_OPEN_SHARE = 0.2
+"""Of the product's lit length; beyond either, an open end's taper is not believed. At 0.25 one open end is
+believed that is not at 0.2: 1.3 % of that volume."""
 
 
 class Cap(NamedTuple):

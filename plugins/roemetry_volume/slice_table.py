@@ -200,9 +200,12 @@ _GAP_SHARE = 0.4  # of the slice's length: a wider gap is left out as a hole
 _STEP_SHARE = 0.15  # of the slice's top
 _LEVEL_ROWS, _LEVEL_SHARE = 4, 0.3  # rows beside a step, and how much of it they may fall by
 _END_ROWS = 4  # at either end that may see belt beside the product
-_JUMP, _JUMP_MM = 2.2, 0.8  # of a height there: times the next rise, and mm
+_JUMP, _JUMP_MM = 2.2, 0.8
+"""Of a height there: times the next rise, and mm. At 1.76 or 2.75 times volumes change by up to 0.3 %,
+without the rule by up to 3.7 %."""
 _TAIL_POINTS = 12
-"""Points of a slice's end that say how it goes on: about two millimetres, over which a dome is a parabola."""
+"""Points of a slice's end that say how it goes on: about two millimetres, over which a dome is a parabola.
+With 10 or 15 volumes change by up to 0.3 %."""
 _Y, _Z, _ROW, _SEEN = range(4)  # columns of a slice's points
 
 

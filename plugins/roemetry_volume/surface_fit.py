@@ -33,11 +33,15 @@ _ROUNDS, _ROUNDS_ON = 3, 2
 """From nothing, and from a solution: a third round from it moves an uncertainty by 1.2 % at most."""
 _NODES = 40, 14  # of the integral over the footprint, along and across
 _RIM_WEIGHT = 6.0  # of a point of the rim in the plate
-_OPEN_RATIO = 0.9  # of the next slice's height: a lower outer slice has begun to fall
+_OPEN_RATIO = 0.9
+"""Of the next slice's height: a lower outer slice has begun to fall. At 0.72 nothing changes; where none of
+them is taken to have fallen, volumes with an outline change by up to 1.0 %."""
 _UPRIGHT = 0.95
 """Of the next slice's highest u: an outer slice so high has not begun to fall, and ends in a wall, as a box
 or a broken skein does."""
-_OPEN_MISS = 0.15  # of an outer slice's level, by which the plate through the others is lower at an open end
+_OPEN_MISS = 0.15
+"""Of an outer slice's level, by which the plate through the others is lower at an open end. It matters little
+by how much (± 0.04: nothing), but without the rule volumes change by up to 1.9 %."""
 _OVER_RIM = 1.0  # mm²: what is hardly over the rim ends with it, upright or not
 _FACING = 0.85  # cosine between the contour's normal and the product's axis: it faces the end
 _BELOW_RIM_MM = 0.3  # a point so far below the rim is on the dome only

@@ -32,7 +32,7 @@ from roemetry.records.calibration import Calibration
 from roemetry.stages import Coder
 from roemetry_coding.planes.decide import decided, margin_of, stripes_of, verdicts_of
 from roemetry_coding.planes.lines import epipolar_lines
-from roemetry_coding.planes.solve import build_problem, cheapest_labels, reaching
+from roemetry_coding.planes.solve import OUTER_SHARE, build_problem, cheapest_labels, reaching
 from roemetry_kernels.bridging import BridgingOptions, bridged
 from roemetry_kernels.consistency import refuse_bare_lines, refuse_uncodable, required_calibration
 from roemetry_kernels.image_levels import median_of
@@ -50,8 +50,6 @@ _LIVE_PEAKS_MIN = 15
 """A stripe with fewer labels is named as missing: bodies cross its rest line in as many rows."""
 _LABELLED_SHARE_MIN = 0.4
 """With fewer peaks on any possible surface, image and calibration do not belong together."""
-_OUTER_SHARE = 0.1
-"""Share of the rows, at the image's top and bottom, where belt is expected."""
 _ON_BELT_MIN = 0.3
 """So many of the peaks there must lie on rest lines: a product may cover two stripes in three."""
 
@@ -182,7 +180,7 @@ def _bounded(peaks: Peaks, stripe: Integers, calibration: Calibration, rest: Res
 def _belt_fits(peaks: Peaks, rest: RestLines) -> bool:
     """Say whether the peaks at the image's top and bottom lie on rest lines, at least three in ten."""
     rows = peaks.image_size[0]
-    outer = (peaks.row < _OUTER_SHARE * rows) | (peaks.row >= (1.0 - _OUTER_SHARE) * rows)
+    outer = (peaks.row < OUTER_SHARE * rows) | (peaks.row >= (1.0 - OUTER_SHARE) * rows)
     if not outer.any():
         return True
     return bool((rest.line[outer] >= 0).mean() >= _ON_BELT_MIN)

@@ -51,7 +51,9 @@ _SHIFTED = (
 )  # fmt: skip
 """Evidence, and how often a label with it was wrong: the more, the less often."""
 _ALONE = ((0.0, 0.03), (2.0, 0.02), (3.0, 8e-3), (4.0, 5e-3), (6.0, 5e-4), (10.0, 1e-4))
-"""By how much the second best is dearer, and how often a label was wrong whose evidence was large."""
+"""By how much the second best is dearer, and how often a label was wrong whose evidence was large. Both
+columns times 1.25 change up to 2.3 % of an image's points, and volumes from slices by up to 1.7 %; times 0.8
+0.6 and 0.4 %."""
 _FEW_PEAKS, _FEW_COUNT = 4, 0.5
 """A piece of fewer peaks has hardly anything that bears it out: its difference counts for half."""
 _LONG_PEAKS, _SMALL_COUNT = 30, 0.4
@@ -69,7 +71,8 @@ _DOUBT_ROUNDS = 2
 _WHOLE_PEAKS, _WHOLE_SHARE = 6, 0.75
 """A piece with as many peaks, this share of them one stripe, holds no false ones."""
 _LEFT_SHARE, _BODY_LEFT_SHARE = 0.5, 0.75
-"""Of a piece with fewer of its labels left, none is kept; of a body where a gap is unexplained."""
+"""Of a piece with fewer of its labels left, none is kept; of a body where a gap is unexplained. With 0.4 of a
+piece nothing changes, with 0.62 up to 7 % of an image's points and 0.2 % of a volume."""
 _ABOVE_ODDS = 50.0
 """A product higher than the calibration is meant for is so many times less likely than one that is not."""
 _ABOVE_SHARE_MIN = 0.25

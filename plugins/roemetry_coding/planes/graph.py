@@ -76,8 +76,9 @@ class Weights(NamedTuple):
 
 WEIGHTS = Weights()
 
-_LOOK_BACK = 4
-"""Up to three peaks side by side may be false; more are no single reflection but another product."""
+LOOK_BACK = 4
+"""Peaks on a line before a peak that may be its neighbour: up to three side by side may be false; more are
+no single reflection but another product. Costs of pairs are listed by it."""
 _HIDDEN = 0.06
 """What a stripe left out costs where it would be hidden, of what it costs where it would be seen: hidden by
 chance, it is still the rarer case."""
@@ -87,9 +88,11 @@ that are about 2 widths of 1 to 3.5 px apart."""
 _LEFT_OUT_MAX = 4
 """So many stripes further on, one that is apart and inside the image is counted from sums, to save time."""
 _CLIFF = 0.5
-"""A step is a break from this many label heights on: there the next stripe's label fits as well."""
+"""A step is a break from this many label heights on: there the next stripe's label fits as well. At
+0.4 up to 4 % of an image's points change, and volumes from slices by up to 0.3 %; at 0.62 0.5 and 1.1 %."""
 _RIM = 1.0 / 3.0
-"""A break between belt and body, of one amid a body: every body has two, amid it they are rare."""
+"""A break between belt and body, of one amid a body: every body has two, amid it they are rare. At 0.27 or
+0.42 up to 0.3 % of an image's points change, and volumes from slices by up to 1.1 %."""
 _THERE = 0.2
 """A stripe that is there as surely as this costs nothing: a fifth of the rows that make it certain."""
 _FILM = 0.1
@@ -214,7 +217,7 @@ def pair_costs_of(
     # pairs are counted first, so that the arrays can be made in one piece
     for e in range(count_lines):
         for p in range(start[e], start[e + 1]):
-            for q in range(max(start[e], p - _LOOK_BACK), p):
+            for q in range(max(start[e], p - LOOK_BACK), p):
                 pairs += 1
                 costs += count[p] * count[q]
     pair = np.empty((pairs, 3), np.int64)
@@ -232,7 +235,7 @@ def pair_costs_of(
     for e in range(count_lines):
         rising = _rising(plane[e])
         for p in range(start[e], start[e + 1]):
-            for q in range(max(start[e], p - _LOOK_BACK), p):
+            for q in range(max(start[e], p - LOOK_BACK), p):
                 pair[n, 0], pair[n, 1], pair[n, 2] = q, p, c
                 n += 1
                 apart_px = (u[p] - u[q]) / u_per_px

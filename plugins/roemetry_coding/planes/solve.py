@@ -58,7 +58,7 @@ from roemetry_kernels.tracing import cut_at_rest_lines, trace_fragments
 
 _STEP_MAX_PX = 7.0
 """Longest step of a trace from row to row, px: a surface that falls by 80 degrees along the stripe."""
-_OUTER_SHARE = 0.1
+OUTER_SHARE = 0.1
 """Share of the image's rows, at its top and bottom, where belt is expected."""
 _BELT_ROWS_MIN = 6
 """A trace on a rest line for fewer rows crosses it."""
@@ -70,7 +70,9 @@ _FOUND_MAX = 0.99
 """A stripe found in this share of the rows is as good as always found: 1 − e⁻⁴ = 0.982 gives 4, the full
 weight `unseen`."""
 _END_ROWS = 8
-"""Cut off where a belt ends amid the image: a body may have begun within the tolerance, rows."""
+"""Cut off where a belt ends amid the image: a body may have begun within the tolerance, rows. With 6 or 10 no
+more than 0.4 % of an image's points change, but they lie at products' ends: single volumes from slices change
+by up to 4.2 % (r.m.s. 1.2), more than by any other constant of the coder."""
 _BORDER_ROWS = 12
 """Belt that ends this near to the image's border is taken to leave it, rows: a peak or two may be missing."""
 _PRESENT_SHARE = 0.2
@@ -162,7 +164,7 @@ def build_problem(
     # a stripe that is found with probability p, and is not seen, costs −log(1 − p); WEIGHTS.unseen at most
     rows, stripes = peaks.image_size[0], presence.shape[1]
     # by the image's top and bottom, where nothing can cover the belt
-    outer = math.ceil(_OUTER_SHARE * rows)
+    outer = math.ceil(OUTER_SHARE * rows)
     found = found_share(peaks.row, rest.line, stripes, rows, outer)
     surprise = np.minimum(-np.log1p(-np.minimum(found, _FOUND_MAX)) / WEIGHTS.unseen, 1.0)
     # a faint stripe's belt may be in pieces too short to follow, and is there all the same
@@ -220,7 +222,7 @@ def _pieces(peaks: Peaks, rest: RestLines, lines: EpipolarLines) -> tuple[Pieces
     trace, traces = trace_fragments(peaks.row_start, peaks.x_px, _STEP_MAX_PX)
     line = on_rest_line(
         peaks.row, peaks.x_px, trace, rest.line, rest.x_px, rest.tolerance_px, rest.offset_px,
-        math.ceil(_OUTER_SHARE * rows),
+        math.ceil(OUTER_SHARE * rows),
     )  # fmt: skip
     # a peak alone between bare lines is kept apart from its run: `line + stripes` cuts there
     alone = between_bare(peaks.row, line, stripes, rows, _BARE_ROWS)

@@ -35,7 +35,7 @@ import numpy as np
 
 from roemetry.records import Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
-from roemetry_coding.planes.graph import Candidates, PairCosts, Weights
+from roemetry_coding.planes.graph import LOOK_BACK, Candidates, PairCosts, Weights
 from roemetry_coding.planes.lines import OVERLAP_ROWS, Entries
 from roemetry_coding.planes.pieces import ENDS, Pieces
 from roemetry_kernels.compiling import kernel
@@ -45,8 +45,6 @@ from roemetry_kernels.rest_lines import RestLines
 
 _ONE_SIDE = 0.4
 """How far a trace's one side speaks for an end: one of two that are asked."""
-_LOOK_BACK = 4
-"""Entries side by side that have a cost, as in `graph`."""
 _BROKEN = 20.0
 """Cost of neighbours too far apart for one: more than any step."""
 _HIGH_SHARE = 0.5
@@ -613,13 +611,13 @@ def _pair(
 ) -> float:
     """Cost of two neighbours on line e, of their hth and kth possible stripe."""
     # no costs are kept for neighbours farther apart
-    if p - q > _LOOK_BACK:
+    if p - q > LOOK_BACK:
         return _BROKEN
     # place of the pair in the list of `pair_costs_of`: the first entries of a line have fewer predecessors
     n, at = costs.pair_start[e], p - first
-    whole = min(at, _LOOK_BACK)
-    n += whole * (whole - 1) // 2 + max(at - _LOOK_BACK, 0) * _LOOK_BACK
-    n += q - max(first, p - _LOOK_BACK)
+    whole = min(at, LOOK_BACK)
+    n += whole * (whole - 1) // 2 + max(at - LOOK_BACK, 0) * LOOK_BACK
+    n += q - max(first, p - LOOK_BACK)
     c = costs.pair[n, 2] + k * count[q] + h
     return float(min(weights.surface * costs.surface[c] + weights.unseen * costs.unseen[c], _BROKEN))
 
