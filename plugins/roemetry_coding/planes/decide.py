@@ -73,11 +73,6 @@ _WHOLE_PEAKS, _WHOLE_SHARE = 6, 0.75
 _LEFT_SHARE, _BODY_LEFT_SHARE = 0.5, 0.75
 """Of a piece with fewer of its labels left, none is kept; of a body where a gap is unexplained. With 0.4 of a
 piece nothing changes, with 0.62 up to 7 % of an image's points and 0.2 % of a volume."""
-_PARTLY_SHARE, _PARTLY_MAX = 0.8, 0.1
-"""Where a body has more than a tenth of its peaks in pieces of which a fifth was refused, its number is in
-doubt, and of these pieces none is kept. Half of a folded skein was one stripe off; only on sight lines that
-cross both halves, 30 % of its points, did order say so: 31 % of the body. On 107 other bodies of eleven rigs
-of three renderers it is 0.3 % at most, on a drawn wedge 4 %."""
 _ABOVE_ODDS = 50.0
 """A product higher than the calibration is meant for is so many times less likely than one that is not."""
 _ABOVE_SHARE_MIN = 0.25
@@ -219,25 +214,11 @@ def decided(
             stripe[going_on(peaks.row, along, level, stripe < 0, longest_gap_rows)] = AMBIGUOUS
     # last: what is left of a piece after all that must be most of it
     stripe[left_over(pieces.of, verdicts.stripe, stripe, _LEFT_SHARE)] = AMBIGUOUS
-    stripe[_partly_doubted(pieces.of, verdicts.stripe, stripe, peaks.row, rest)] = AMBIGUOUS
     stripe[_never_followed(problem, stripe, body_of(peaks.row, stripe, rest))] = AMBIGUOUS
     # what a pattern contradicts even now is wrong
     still, wrong = numbered_by_pattern(peaks.row, peaks.x_px, stripe, rest)
     stripe[wrong | (still != 0)] = AMBIGUOUS
     return stripe, margin, gaps
-
-
-def _partly_doubted(
-    piece: Integers, stripe: Integers, kept: Integers, row: Integers, rest: RestLines
-) -> Flags:
-    """Mark (peak,) bodies' pieces that are partly refused, where these are more than a few of the body's."""
-    partly = left_over(piece, stripe, kept, _PARTLY_SHARE) & (rest.line != stripe)
-    if not partly.any():
-        return partly
-    body = body_of(row, stripe, rest)
-    size = np.maximum(np.bincount(body), 1)
-    share = np.bincount(body, partly, minlength=size.size) / size
-    return np.asarray(partly & (body > 0) & (share[body] > _PARTLY_MAX))
 
 
 def _never_followed(problem: Problem, stripe: Integers, body: Integers) -> Flags:

@@ -23,8 +23,7 @@ reason that it does not contain. Each veto names one such reason and marks the p
   body is no ray's end: a lit top makes the wall below it glow, where the belt before the wall is lit, too.
   If the body denies no belt without what is so faint, that alone is refused. False peaks seldom lie on a
   rest line, and not on many sight lines; a body one stripe off leaves out all of a belt.
-- `left_over`: what a body is on some rows it is on the others; of a piece mostly refused none is kept, and
-  of one partly refused where the body has many such pieces.
+- `left_over`: what a body is on some rows it is on the others; of a piece mostly refused none is kept.
 
 What each is worth, on which images: docs/measurements/coding-ablation.md. Vetoes refuse, they never change a
 label. They fail for bodies with level tops so low that belt's scatter covers them.

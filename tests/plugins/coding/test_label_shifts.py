@@ -7,8 +7,6 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 
-from roemetry.records import AMBIGUOUS
-from roemetry_coding.planes.decide import _partly_doubted
 from roemetry_coding.planes.graph import WEIGHTS, Candidates, PairCosts
 from roemetry_coding.planes.lines import Entries
 from roemetry_coding.planes.pieces import ENDS, Pieces, between_bare, found_share, presence_of, relative_light
@@ -23,7 +21,6 @@ from roemetry_coding.planes.shifts import (
 )
 from roemetry_coding.planes.solve import _EMPTY, agreed, favour_labels, min_marginals
 from roemetry_coding.planes.vetoes import claimed, ends_settled, going_on, left_over
-from roemetry_kernels.rest_lines import RestLines
 
 RUNS, LINES = 6, 20
 STAYS = 1
@@ -381,25 +378,3 @@ def test_a_stripe_is_found_as_often_as_on_belt_that_nothing_covers() -> None:
     row = np.concatenate([rows[bare], rows[bare & (rows % 2 == 0)]])
     line = np.repeat([0, 1], [120, 60])
     np.testing.assert_allclose(found_share(row, line, 3, 400, 40), [1.0, 20 / 39, 1.0])
-
-
-@pytest.mark.parametrize(("pieces", "refused"), [(1, False), (3, True)])
-def test_a_body_whose_stripes_are_in_doubt_on_some_rows_is_in_doubt_on_all(
-    pieces: int, refused: bool
-) -> None:
-    """Ten stripes of 40 rows on a body beside one on the belt; of some pieces three tenths were refused."""
-    rows, stripes = 40, 11
-    stripe, row = (one.ravel() for one in np.meshgrid(np.arange(stripes), np.arange(rows), indexing="ij"))
-    line = np.where(stripe == 10, stripe, -1)
-    rest = RestLines(
-        np.zeros((stripes, rows)),
-        np.zeros((rows, stripes)),
-        0.5,
-        line,
-        np.bincount(stripe[line >= 0], minlength=11),
-    )
-    partly = (stripe < pieces) | (stripe == 10)
-    kept = np.where(partly & (row < 12), AMBIGUOUS, stripe)
-    found = _partly_doubted(stripe, stripe, kept, row, rest)
-    expected = (stripe < pieces) & (kept >= 0) if refused else np.zeros(stripe.size, np.bool_)
-    np.testing.assert_array_equal(found, expected)
