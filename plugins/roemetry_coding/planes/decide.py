@@ -38,6 +38,7 @@ from roemetry_coding.planes.vetoes import (
     going_on,
     left_over,
     may_be_level,
+    missing_amid,
     nearly_belt,
     numbered_by_pattern,
     out_of_order,
@@ -191,6 +192,7 @@ def decided(
     # then the vetoes, one after another; each sees what those before left
     stripe[(stripe >= 0) & ~(verdicts.sure & (margin >= margin_min))] = AMBIGUOUS
     stripe[denies] = AMBIGUOUS
+    stripe[missing_amid(problem.entries, verdicts.stripe, bodies, problem.there)] = AMBIGUOUS
     stripe[out_of_order(problem.entries, peaks.row, rest.line, stripe, stripes)] = AMBIGUOUS
     # also of what pieces claim: a piece that order often speaks against is refused where it has labels
     wrong = out_of_order(problem.entries, peaks.row, rest.line, verdicts.claims, stripes)

@@ -20,7 +20,7 @@ from roemetry_coding.planes.shifts import (
     single_shifts,
 )
 from roemetry_coding.planes.solve import _EMPTY, agreed, favour_labels, min_marginals
-from roemetry_coding.planes.vetoes import claimed, ends_settled, going_on, left_over
+from roemetry_coding.planes.vetoes import claimed, ends_settled, going_on, left_over, missing_amid
 
 RUNS, LINES = 6, 20
 STAYS = 1
@@ -378,3 +378,21 @@ def test_a_stripe_is_found_as_often_as_on_belt_that_nothing_covers() -> None:
     row = np.concatenate([rows[bare], rows[bare & (rows % 2 == 0)]])
     line = np.repeat([0, 1], [120, 60])
     np.testing.assert_allclose(found_share(row, line, 3, 400, 40), [1.0, 20 / 39, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("rows", "light", "doubted"), [(60, 1.0, True), (59, 1.0, False), (60, 0.0, False)], ids=str
+)
+def test_a_stripe_that_is_missing_all_along_a_seam_casts_doubt_on_both_sides(
+    rows: int, light: float, doubted: bool
+) -> None:
+    """Stripes 1, 2 and 4, 5 on two parts of a body, belt beside; a stripe without light is not missing."""
+    on_line = np.array([0, 1, 2, 4, 5, 6])
+    stripe = np.tile(on_line, rows)
+    body = np.tile([0, 1, 1, 2, 2, 0], rows)
+    none = np.full(stripe.size, -1)
+    start = np.arange(rows + 1) * on_line.size
+    entries = Entries(start, np.arange(stripe.size), stripe.astype(float), none, none, np.zeros(stripe.size))
+    there = np.ones(7)
+    there[3] = light
+    np.testing.assert_array_equal(missing_amid(entries, stripe, body, there), (body > 0) & doubted)
