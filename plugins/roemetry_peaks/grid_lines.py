@@ -173,7 +173,7 @@ def _changes(pixels: Any) -> list[Any]:
     import cv2
 
     smoothing = cv2.getGaussianKernel(_FINE_TAPS, _FINE_PX, cv2.CV_32F)
-    # what is made of whole numbers at once needs no copy of the image
+    # filtering integers directly saves a copy as floats
     whole = pixels if pixels.dtype in (np.uint8, np.uint16) else pixels.astype(np.float32)
     image = cv2.sepFilter2D(whole, cv2.CV_32F, smoothing, smoothing)
     return [cv2.Sobel(image, cv2.CV_32F, *way, ksize=3) for way in ((1, 0), (0, 1))]

@@ -292,7 +292,7 @@ def _beyond_last(
         end = begin
         while end < many and belt[end] == belt[begin]:
             end += 1
-        # so many lines farther in the belt begins before the run and after it, 0 where nothing follows
+        # how many lines farther in the belt lies before the run and after it; 0 at an end
         before = way * (belt[begin - 1] - belt[begin]) if begin > 0 else 0
         after = way * (belt[end] - belt[begin]) if end < many else 0
         slope = 0

@@ -26,6 +26,7 @@ _COARSER = 4  # the wider smoothing of an image so many times coarser differs by
 _STRIPE = 6.0
 """Times the noise: what the opening takes away that much is a stripe."""
 _LEAST_NOISE = 0.5  # grey levels: that of rounding, with a margin
+_STEPS = 64.0  # a grey level: finer than what the mean of a dozen pixels scatters by
 _SAMPLED = 5  # every fifth row tells the noise
 _WIDTH_SHARE, _WIDTH_MIN_PX = 0.6, 9
 """Of the spacing: more than a stripe is wide, less than stripes are apart."""
@@ -48,7 +49,7 @@ def ambient_light(
     Returns
     -------
     light : ndarray
-        Ambient light in 64ths of a grey level.
+        Ambient light, in 64ths of a grey level or, of more than 10 bits, in as fine steps as 16 bits allow.
     stripes : ndarray of bool
         Where a stripe was taken out. What stands there comes from beside it.
     """
@@ -69,7 +70,8 @@ def ambient_light(
     share, total = (cv2.GaussianBlur(one, (0, 0), SMOOTHED_PX) for one in (beside, of_beside))
     filled = share <= _FILLED_SHARE
     light = np.where(filled, _widely(of_beside, beside), total / np.maximum(share, 1e-6))
-    return np.asarray(np.rint(64.0 * light).astype(np.uint16)), filled
+    steps = min(_STEPS, np.iinfo(np.uint16).max / max(float(light.max()), 1.0))
+    return np.asarray(np.rint(steps * light).astype(np.uint16)), filled
 
 
 def _widely(of_beside: Floats, beside: Floats) -> Floats:

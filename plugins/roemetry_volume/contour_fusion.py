@@ -25,8 +25,9 @@ from roemetry_volume.ambient_light import SMOOTHED_PX, ambient_light
 from roemetry_volume.edge_search import NORMAL_REACH, Edge, Scene, edge_between_stripes
 from roemetry_volume.footprint import inside_by, normals_of
 
-_MARGIN_PX = 24
-"""Around the contour: it may move by 12 px, and steps in brightness are compared 22 px outside it."""
+_MARGIN_PX = 36
+"""Around the contour, besides a spacing: it may move by 12 px, and steps in brightness are compared 22 px
+outside it."""
 
 
 def confirmed(plain: Edge, laser: NDArray[Any], scene: Scene) -> Edge:
@@ -44,7 +45,8 @@ def confirmed(plain: Edge, laser: NDArray[Any], scene: Scene) -> Edge:
     Returns
     -------
     Edge
-        `plain` as it is where the laser image is too dark to show the edge.
+        `plain` as it is where the laser image is too dark to show the edge, or nothing tells how sure one of
+        the two is.
     """
     rows, columns = laser.shape
     margin = _MARGIN_PX + round(scene.spacing_px)
@@ -59,7 +61,9 @@ def confirmed(plain: Edge, laser: NDArray[Any], scene: Scene) -> Edge:
     )  # fmt: skip
     corner = np.array([left, top], np.float64)
     found = edge_between_stripes(within, plain.xy_px - corner)
-    return plain if found is None else weighted_mean(plain, found._replace(xy_px=found.xy_px + corner))
+    if found is None or not math.isfinite(found.std_px) or not math.isfinite(plain.std_px):
+        return plain
+    return weighted_mean(plain, found._replace(xy_px=found.xy_px + corner))
 
 
 def weighted_mean(one: Edge, other: Edge) -> Edge:

@@ -561,11 +561,14 @@ def _with_belt_by_light(
     surface as high as that. Such a surface would have to be as bright as the belt, too, and begin and end
     where the light goes on along the same rest line. This keeps an outline away, and is never a label.
     """
+    beside, on_beside = ~region & ~on_stripes, region & ~on_stripes
+    if not (beside.any() and on_beside.any()):  # a product on a single stripe, or all over the image
+        return stripes
     stripe, row = np.nonzero(stripes.ambiguous & ~stripes.seen & np.isfinite(stripes.rest_px))
     column = np.rint(stripes.rest_px[stripe, row]).astype(np.int64)
     within = (column >= 0) & (column < level.shape[1])
     stripe, row, column = stripe[within], row[within], column[within]
-    of_product, of_belt = (median_of(level[where]) for where in (region & ~on_stripes, ~region & ~on_stripes))
+    of_product, of_belt = (median_of(level[where]) for where in (on_beside, beside))
     light = level[row, column]
     like_belt = on_stripes[row, column] & (np.abs(light - of_belt) < np.abs(light - of_product))
     found = np.zeros(stripes.seen.shape, np.bool_)

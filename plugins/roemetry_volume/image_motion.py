@@ -204,7 +204,7 @@ def image_motion(
         # a motion beyond this level's reach may be wrong: none at all is tried, too
         starts = [still, motion] if reach > every / 2.0 else [still]
         if found is None:
-            # on the finest level all shifts are looked at at once, that by none among them
+            # on the finest level all shifts are looked at at once, including no shift
             shift = _likeliest_shift(finest) if level == 1 else None
             starts = [still if shift is None else shift]
             starts += [np.array([0.0, 0.0, 0.0, growth]) for growth in _GROWTHS]

@@ -189,7 +189,7 @@ def decided(
     # only a few: they are pieces, not a product out of range, and are refused by themselves
     if np.count_nonzero(above) <= _ABOVE_SHARE_MIN * np.count_nonzero((stripe >= 0) & (stripe != rest.line)):
         stripe[above] = AMBIGUOUS
-    # then the vetoes, one after another; each sees what those before left
+    # then the vetoes, one after another; those from order on see what the ones before left
     stripe[(stripe >= 0) & ~(verdicts.sure & (margin >= margin_min))] = AMBIGUOUS
     stripe[denies] = AMBIGUOUS
     stripe[missing_amid(problem.entries, verdicts.stripe, bodies, problem.there)] = AMBIGUOUS

@@ -381,15 +381,20 @@ def test_a_stripe_is_found_as_often_as_on_belt_that_nothing_covers() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rows", "light", "doubted"), [(60, 1.0, True), (59, 1.0, False), (60, 0.0, False)], ids=str
+    ("rows", "light", "bodies", "doubted"),
+    [(60, 1.0, 1, True), (59, 1.0, 1, False), (60, 0.0, 1, False), (60, 1.0, 2, False)],
+    ids=str,
 )
 def test_a_stripe_that_is_missing_all_along_a_seam_casts_doubt_on_both_sides(
-    rows: int, light: float, doubted: bool
+    rows: int, light: float, bodies: int, doubted: bool
 ) -> None:
-    """Stripes 1, 2 and 4, 5 on two parts of a body, belt beside; a stripe without light is not missing."""
+    """Stripes 1, 2 and 4, 5 on two parts of a body, belt beside; one without light is not missing.
+
+    Of two bodies side by side, one may hide a stripe beside the other.
+    """
     on_line = np.array([0, 1, 2, 4, 5, 6])
     stripe = np.tile(on_line, rows)
-    body = np.tile([0, 1, 1, 2, 2, 0], rows)
+    body = np.tile([0, 1, 1, bodies, bodies, 0], rows)
     none = np.full(stripe.size, -1)
     start = np.arange(rows + 1) * on_line.size
     entries = Entries(start, np.arange(stripe.size), stripe.astype(float), none, none, np.zeros(stripe.size))

@@ -96,3 +96,31 @@ def test_ambient_light_is_what_lies_beside_the_stripes(
     assert light[~stripes].mean() / 64.0 == pytest.approx(24.0, abs=0.3)  # grey levels
     assert light[stripes].mean() / 64.0 == pytest.approx(24.0, abs=0.6)
     assert np.abs(light / 64.0 - 24.0).max() < 6.0
+
+
+def test_light_of_sixteen_bits_is_that_of_eight(rng: np.random.Generator) -> None:
+    pixels = laser_image(rng, body=40.0, belt=20.0)
+    light, stripes = ambient_light(pixels, 30.0)
+    fine, same = ambient_light(pixels.astype(np.uint16) * 257, 30.0)
+    np.testing.assert_array_equal(stripes, same)
+    scale = float(np.median(fine)) / float(np.median(light))
+    np.testing.assert_allclose(fine / scale / 64.0, light / 64.0, atol=0.2)  # grey levels
+
+
+@pytest.mark.parametrize("std_px", [math.inf, 0.6])
+def test_a_product_at_the_border_is_confirmed_in_what_is_there(
+    rng: np.random.Generator, std_px: float
+) -> None:
+    """The disc's right and lower parts are cut off; a plain contour of unknown uncertainty stays as it is."""
+    rows, columns = round(MIDDLE[1]) + 75, round(MIDDLE[0]) + 75
+    scene = plain_scene()
+    assert scene.bounds is not None
+    bounds = scene.bounds[0][:rows, :columns], scene.bounds[1][:rows, :columns]
+    cut = Scene(scene.level[:rows, :columns], bounds, None, 0.0, 30.0)
+    plain = Edge(circle(RADIUS_PX + 0.8), std_px, 0.3)
+    found = confirmed(plain, laser_image(rng, body=40.0, belt=20.0)[:rows, :columns], cut)
+    if std_px == math.inf:
+        assert found is plain
+    else:
+        assert np.isfinite(found.xy_px).all()
+        assert found.std_px < std_px

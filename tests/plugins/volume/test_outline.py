@@ -419,6 +419,17 @@ def test_open_light_on_a_rest_line_is_belt_where_it_joins_belt_and_is_as_bright(
     np.testing.assert_array_equal(np.delete(found.seen, last, axis=0), np.delete(given.seen, last, axis=0))
 
 
+def test_under_a_single_stripe_no_open_light_is_asked_for() -> None:
+    """All of the product lies under the stripe: its own ambient light is nowhere seen."""
+    stripes = stripes_on()
+    on_stripes = np.zeros((ROWS, COLUMNS), np.bool_)
+    on_stripes[:, 100:110] = True
+    region = np.zeros_like(on_stripes)
+    region[60:100, 104] = True
+    level = np.zeros((ROWS, COLUMNS), np.float32)
+    assert edge_contour._with_belt_by_light(stripes, level, region, on_stripes) is stripes
+
+
 def test_images_that_do_not_fit_are_refused(rng: np.random.Generator, tmp_path) -> None:
     plain = plain_image(rng)
     with pytest.raises(StageError, match="the plain-light image is"):
