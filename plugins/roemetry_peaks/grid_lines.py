@@ -29,7 +29,7 @@ from pydantic import Field
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
-from roemetry_kernels.compiling import float_kernel, kernel
+from roemetry_kernels.compiling import float_kernel, inlined, kernel
 from roemetry_peaks.finding import found
 from roemetry_peaks.gaussian import GaussianOptions, gaussian_peaks
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA, Stripes
@@ -179,6 +179,14 @@ def _changes(pixels: Any) -> list[Any]:
     return [cv2.Sobel(image, cv2.CV_32F, *way, ksize=3) for way in ((1, 0), (0, 1))]
 
 
+@inlined
+def _mirrored(at: int, size: int) -> int:
+    """Give the place within a side that a place beyond its border mirrors, however short the side is."""
+    period = max(2 * (size - 1), 1)
+    at = abs(at) % period
+    return min(at, period - at) if size > 1 else 0
+
+
 @float_kernel
 def _squares_around(along: Any, down: Any, row: Integers, column: Integers) -> tuple[Floats, Floats]:
     """Give (n,) means of both images' squares in a square around places, mirrored at the border."""
@@ -187,7 +195,7 @@ def _squares_around(along: Any, down: Any, row: Integers, column: Integers) -> t
     for n in range(row.size):
         one, other = np.float32(0.0), np.float32(0.0)
         for i in range(row[n] - half, row[n] + half + 1):
-            y = abs(i) if i < rows else 2 * (rows - 1) - i
+            y = _mirrored(i, rows)
             first, end = column[n] - half, column[n] + half + 1
             if first >= 0 and end <= columns:
                 for x in range(np.uint64(first), np.uint64(end)):
@@ -195,7 +203,7 @@ def _squares_around(along: Any, down: Any, row: Integers, column: Integers) -> t
                     other += down[y, x] * down[y, x]
                 continue
             for j in range(first, end):
-                x = abs(j) if j < columns else 2 * (columns - 1) - j
+                x = _mirrored(j, columns)
                 one += along[y, x] * along[y, x]
                 other += down[y, x] * down[y, x]
         found[0, n], found[1, n] = one, other

@@ -22,6 +22,7 @@ from roemetry_coding.planes import PlanesOptions, coded_by_planes
 from roemetry_patterns.dot_surface import DotSurface
 from roemetry_patterns.surface_points import points_of as surface_points_of
 from roemetry_patterns.surface_points import pooled, rows_pooled, same_points_of
+from roemetry_peaks import grid_lines
 from roemetry_peaks.grid_lines import GridLines
 from roemetry_pinhole.grid import ACROSS, _turning, turned_parameters
 from roemetry_pinhole.pinhole_plane import points_of, view_of
@@ -288,3 +289,20 @@ def test_thin_parts_of_a_product_are_not_belt() -> None:
     assert (found.product[np.abs(off_px) > 0.35] == 1).all()
     assert (found.product[np.abs(off_px) < 0.25] == called.product[np.abs(off_px) < 0.25]).all()
     assert low[[1, 5]].sum() > 300  # of two stripes nothing was called a product
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 48), (5, 3), (24, 1), (30, 40)])
+def test_means_around_places_mirror_the_image_however_small_it_is(
+    shape: tuple[int, int], rng: np.random.Generator
+) -> None:
+    along, down = rng.normal(size=(2, *shape)).astype(np.float32)
+    row, column = (place.ravel() for place in np.indices(shape))
+    found = grid_lines._squares_around(along, down, row, column)
+    half = grid_lines._AROUND_PX // 2
+    for one, image in zip(found, (along, down), strict=True):
+        wide = image**2
+        for axis, size in enumerate(shape):  # a side of one pixel mirrors itself
+            at = np.abs(np.arange(-half, size + half)) % max(2 * (size - 1), 1)
+            wide = wide.take(np.minimum(at, max(2 * (size - 1), 1) - at) if size > 1 else 0 * at, axis=axis)
+        expected = np.lib.stride_tricks.sliding_window_view(wide, (2 * half + 1, 2 * half + 1)).mean((-1, -2))
+        np.testing.assert_allclose(one.reshape(shape), expected, atol=1e-4)
