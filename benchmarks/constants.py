@@ -101,9 +101,10 @@ class Constants:
             for names, expression in _assigned(module):
                 try:
                     made = eval(ast.unparse(expression), {"math": math, "np": np}, found)
-                except Exception:  # of anything else: no constant
+                    values = tuple(made) if len(names) > 1 else (made,)
+                except (NameError, AttributeError, TypeError):  # made of what is no constant
                     continue
-                for name, value in zip(names, made if len(names) > 1 else (made,), strict=True):
+                for name, value in zip(names, values, strict=True):
                     if _numeric(value):
                         found[name] = self._changed.get((module, name), value)
         return self._known[module]

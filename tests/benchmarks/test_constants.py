@@ -64,3 +64,10 @@ print(before, off())
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True, timeout=300
     )
     assert done.stdout.split() == ["3", "0"]
+
+
+def test_every_plugin_can_be_asked() -> None:
+    """What is made of what is no constant, a generator too, is passed over."""
+    found = named(["roemetry_*"], [])
+    assert {module.partition(".")[0] for module, _ in found} >= {"roemetry_coding", "roemetry_volume"}
+    assert found["roemetry_coding.planes.vetoes", "_MISSING_ROWS"] == 60
