@@ -185,8 +185,9 @@ def end_held(outer_mm2: float, inner_mm2: float, wall_share: float = 1.0) -> tup
     slice, in squares of the spacing (Euler and Maclaurin): (2 − p)·(1 − s₀)/24 of A₁, 0.04 to 0.08 with a
     slice at the very end.
 
-    An end more than a spacing away would show in one slice more, so areas that differ less are those of a
-    blunt end, whose place is not known: half a spacing on the mean.
+    An end more than a spacing away (s₀ > ½) would show in one slice more, so areas that differ less are those
+    of a blunt end, whose place is not known: half a spacing on the mean where both areas are alike. Between
+    the two, from what s₀ = ½ gives, in proportion to s₀.
     """
     if not inner_mm2 > 0.0:
         return 0.5, 0.0
@@ -194,9 +195,11 @@ def end_held(outer_mm2: float, inner_mm2: float, wall_share: float = 1.0) -> tup
     root = 2.0 * ratio / (wall + math.sqrt(wall * wall + 4.0 * (1.0 - wall) * ratio)) if ratio > 0.0 else 0.0
     square = root * root
     bent = (2.0 - wall) * (1.0 - square) / 24.0
-    if square > 0.5:  # from ⅔ of a spacing, where both rules nearly meet, to half of one
-        return (2.5 - square) / 3.0, bent
     mean = 0.5 + wall / 6.0
+    if square > 0.5:
+        whole = wall * math.sqrt(0.5) + (1.0 - wall) * 0.5  # the ratio of areas at s₀ = ½
+        farthest = (2.0 * mean - 0.5 * (1.0 + whole)) / whole
+        return 0.5 + (farthest - 0.5) * 2.0 * (1.0 - square), bent
     outer = mean * square / (ratio * (1.0 - square)) if ratio > 0.0 else 0.0
     return outer - 0.5, mean - 0.5 + bent
 
