@@ -205,6 +205,16 @@ def test_a_line_that_lost_rows_ends_elsewhere_than_its_neighbours(seen: Scan, lo
     assert estimate.budget["damaged lines"] == pytest.approx(3.0 / len(lines.count) * estimate.value)
 
 
+def test_a_line_whose_last_rows_are_cut_off_by_a_shadow_is_used() -> None:
+    """The plate of `recipes/two_heads`: beside its balls 18 rows were left, fewer than tell a line's end."""
+    height_mm = np.full((41, 120), np.nan)
+    height_mm[:, 10:110] = 0.0
+    height_mm[20, 28:36] = np.nan
+    assert not torn_lines(height_mm, 2).any()
+    height_mm[20, 10:28] = np.nan  # nothing is seen out there: the line ends elsewhere
+    assert np.flatnonzero(torn_lines(height_mm, 2)).tolist() == [20]
+
+
 def test_a_line_that_shows_nothing_where_its_neighbours_do_is_not_used(seen: Scan) -> None:
     stripes, lines = seen
     x_px, whole = stripes.x_px.copy(), placed(stripes, lines)
