@@ -12,6 +12,7 @@ from roemetry.records import Frame
 from roemetry.records.arrays import Integers
 from roemetry.stages import Extractor, StageOptions
 from roemetry.stages.kinds import OptionsT
+from roemetry_kernels.differing_lines import lines_differ
 from roemetry_kernels.steep_steps import count_steps
 
 Narrowest = Annotated[
@@ -71,3 +72,7 @@ class RowExtractor(Extractor[OptionsT]):
     def count_steps(self, pixels: NDArray[Any], least: int) -> tuple[Integers, Integers, Integers]:
         """Count steps of the grey level in one pass."""
         return count_steps(pixels, least)
+
+    def lines_differ(self, pixels: NDArray[Any]) -> bool:
+        """Say for certain that all lines differ, by a few compiled comparisons."""
+        return lines_differ(pixels)

@@ -45,13 +45,15 @@ and behind the product do no harm."""
 _OVER_GAP = 0.1
 """Of what a straight line fills: a dome rises over it by some tenth."""
 _FLANK_SHARE = 0.06
-"""Of what was followed of the flanks. Chosen on foods (seeds 9500 and 9700), where 0.1 made intervals three
-times too wide; on seed 9900, used for nothing else, 19 of 20 intervals hold. With 0.04, and without what much
-that was followed adds, 34 of 40 held (seeds 204000 to 204507)."""
+"""Of what was followed of the flanks, at least. Chosen on foods (seeds 9500 and 9700), where 0.1 made
+intervals three times too wide; on seed 9900, used for nothing else, 19 of 20 intervals hold. With 0.04, and
+without what much that was followed adds, 34 of 40 held (seeds 204000 to 204507)."""
 _FLANKS_MUCH = 0.15
-"""Of the volume: where so much was followed, the doubt is twice that share. What a conic misses grows with
-the third power of how far it is followed, and the area with the first: of a lumpy body a quarter of which was
-followed it was 31 % (`mitsuba-belt`, seed 109400), of foods with 5 to 10 % at most 8."""
+"""Of the volume: where so much was followed, the doubt is twice what the seen side tells, or twice that share
+where it tells nothing. What a conic misses grows with the third power of how far it is followed, and the
+area with the first: of a lumpy body a quarter of which was followed it was 31 % (`mitsuba-belt`, seed
+109400), of foods with 5 to 10 % at most 8. A ball, of which a fifth is followed, is a conic, and its seen
+side says so."""
 _EDGE_SHIFT = 0.4
 """Points by which all edges may lie farther out or in together: rays miss the last of a flank (seed 7000);
 flanks of fillets, which end thin, are followed too far under lines 1 mm apart, by 0.54 % of their volumes.
@@ -185,8 +187,9 @@ def end_held(outer_mm2: float, inner_mm2: float, wall_share: float = 1.0) -> tup
     slice, in squares of the spacing (Euler and Maclaurin): (2 − p)·(1 − s₀)/24 of A₁, 0.04 to 0.08 with a
     slice at the very end.
 
-    An end more than a spacing away would show in one slice more, so areas that differ less are those of a
-    blunt end, whose place is not known: half a spacing on the mean.
+    An end more than a spacing away (s₀ > ½) would show in one slice more, so areas that differ less are those
+    of a blunt end, whose place is not known: half a spacing on the mean where both areas are alike. Between
+    the two, from what s₀ = ½ gives, in proportion to s₀.
     """
     if not inner_mm2 > 0.0:
         return 0.5, 0.0
@@ -194,9 +197,11 @@ def end_held(outer_mm2: float, inner_mm2: float, wall_share: float = 1.0) -> tup
     root = 2.0 * ratio / (wall + math.sqrt(wall * wall + 4.0 * (1.0 - wall) * ratio)) if ratio > 0.0 else 0.0
     square = root * root
     bent = (2.0 - wall) * (1.0 - square) / 24.0
-    if square > 0.5:  # from ⅔ of a spacing, where both rules nearly meet, to half of one
-        return (2.5 - square) / 3.0, bent
     mean = 0.5 + wall / 6.0
+    if square > 0.5:
+        whole = wall * math.sqrt(0.5) + (1.0 - wall) * 0.5  # the ratio of areas at s₀ = ½
+        farthest = (2.0 * mean - 0.5 * (1.0 + whole)) / whole
+        return 0.5 + (farthest - 0.5) * 2.0 * (1.0 - square), bent
     outer = mean * square / (ratio * (1.0 - square)) if ratio > 0.0 else 0.0
     return outer - 0.5, mean - 0.5 + bent
 
@@ -241,9 +246,10 @@ def budget_of(found: Sections, profiles: Profiles, number: int) -> dict[str, flo
 
 def flanks_std_mm3(followed_mm3: float, volume_mm3: float, told: float) -> float:
     """Give the standard deviation of what was followed of flanks; `told` as in `Profiles.flank_rel_std`."""
-    much = (followed_mm3 / (_FLANKS_MUCH * volume_mm3)) ** 2 if volume_mm3 else 0.0
-    own = _FLANK_SHARE * (1.0 + much)
-    return followed_mm3 * (own if math.isnan(told) else math.hypot(own, told))
+    much = 1.0 + (followed_mm3 / (_FLANKS_MUCH * volume_mm3)) ** 2 if volume_mm3 else 1.0
+    if math.isnan(told):
+        return followed_mm3 * _FLANK_SHARE * much
+    return followed_mm3 * math.hypot(_FLANK_SHARE, told * much)
 
 
 def told_of(profiles: Profiles, number: int) -> float:

@@ -237,10 +237,15 @@ def rims_of(xyz: Floats, label: Labels, added: Flags, products: int, first: int 
             beyond += _cut_off(xyz, rows, belts, row[1 - side, far], edge[1 - side, far], belt[1 - side, far])
         groups = min(_RIM_GROUPS, many // _RIM_ROWS_MIN)
         at, told = np.empty(groups), np.empty(groups)
-        for g in range(groups):
-            part = slice(g * many // groups, (g + 1) * many // groups)
-            at[g] = np.mean(rows[part])
-            told[g] = _rim_of_rows(xyz, label, added, rows[part], edges[part], beyond[part], way, first)
+        # without the rows under the outermost line; where none of the others tells, with them
+        told[:] = math.nan
+        for used in (_without_outermost(beyond, belts, way), beyond):
+            if not np.isfinite(told).any():
+                beyond = used
+                for g in range(groups):
+                    part = slice(g * many // groups, (g + 1) * many // groups)
+                    at[g] = np.mean(rows[part])
+                    told[g] = _rim_of_rows(xyz, label, added, rows[part], edges[part], used[part], way, first)
         tells = np.isfinite(told)
         if not tells.any():
             continue
@@ -278,15 +283,9 @@ def _beyond_last(
 
     Seen from above, the edge is a smooth curve that crosses from one spacing of lines to the next between two
     rows: over a run of rows with their belt in one line it goes from the spacing's outer end to its inner
-    one, or back. Where it comes to its outermost it lies anywhere in one spacing, and all rows there have
-    that error in common: NaN, unless the others are too few.
+    one, or back. Where it comes to its outermost it lies anywhere in one spacing: half-way on the mean.
     """
     beyond, many = np.empty(row.size), row.size
-    outermost = np.min(way * belt)
-    first, last = many, -1
-    for n in range(many):
-        if way * belt[n] == outermost:
-            first, last = min(first, n), n
     begin = 0
     while begin < many:
         end = begin
@@ -303,9 +302,24 @@ def _beyond_last(
             to_belt = abs(xyz[belt[n], row[n], 0] - xyz[edge[n], row[n], 0])
             beyond[n] = to_belt * (unseen[n] + share) / (unseen[n] + 1.0)
         begin = end
-    if many - (last + 1 - first) >= _RIM_ROWS_OTHERS:
-        beyond[first : last + 1] = math.nan
     return beyond
+
+
+@inlined
+def _without_outermost(beyond: Floats, belt: Integers, way: int) -> Floats:
+    """Leave out (NaN) the rows whose belt begins in the outermost line, unless the others are too few.
+
+    Their edge lies anywhere in one spacing of lines, and all of them have that error in common.
+    """
+    outermost = np.min(way * belt)
+    first, last = belt.size, -1
+    for n in range(belt.size):
+        if way * belt[n] == outermost:
+            first, last = min(first, n), n
+    left = beyond.copy()
+    if belt.size - (last + 1 - first) >= _RIM_ROWS_OTHERS:
+        left[first : last + 1] = math.nan
+    return left
 
 
 @inlined

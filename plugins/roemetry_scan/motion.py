@@ -55,6 +55,9 @@ _BALL_SHARE = 0.33
 """Of a ball's radius above its centre: below, plate and rim are seen."""
 _RMS_MAX_SHARE = 0.01
 """Of the body's height: a worse fit is another body, or a calibration that is none."""
+_CONDITION_MAX = 1e6
+"""Of the derivatives, each unknown in its own unit: beyond, rounding leaves few digits of a covariance, whose
+condition is the square of that."""
 _PITCH_STD_MAX, _LEAN_STD_MAX_DEG = 0.002, 0.1
 """Above these one pass did not tell the motion: relative, and of its direction."""
 _NEAR_MM = 0.3  # of the belt's plane: points as near to it are belt
@@ -90,13 +93,13 @@ def measured_motion(
             f"the scan does not fit the {target.name}: its points lie {rms:.2g} mm (rms) off its surface",
             hint="is the target the one that the rig file describes, and does the belt run the way it says?",
         )
-    try:
-        inverse = np.linalg.inv(slopes.T @ slopes)
-    except np.linalg.LinAlgError as error:
+    scale = np.sqrt((slopes**2).sum(axis=0))
+    if not scale.all() or np.linalg.cond(slopes / scale) > _CONDITION_MAX:
         raise CalibrationError(
             f"the scan does not fit the {target.name}: what fits lies on too few of its faces",
             hint="is the target the one that the rig file describes, and does the belt run the way it says?",
-        ) from error
+        )
+    inverse = np.linalg.inv(slopes.T @ slopes)
     # errors of neighbouring rows and lines hang together: the covariance is so many times that of single
     # points
     covariance = rms**2 * _TOGETHER * inverse[:3, :3]

@@ -17,9 +17,12 @@ that are only a line or two thick.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from roemetry.records.arrays import Flags, Floats
+from roemetry_kernels.compiling import float_kernel
 
 _LEAST_MM = 0.5
 """Less does not matter: where a tenth of the lines is off by it, so is 0.5 % of a product 10 mm high."""
@@ -43,6 +46,8 @@ _END_ROWS, _END_SCATTERS = 1.5, 8.0
 """Rows that a line's end lies away from the middle of those around it, at least, and times their scatter."""
 _PART_ROWS = 20
 """Rows on end that are a part of a line, whose end counts; fewer may be the end of another one."""
+_GOES_ON = 0.5
+"""Share of the rows between the usual end and a line's own, beyond which the line reaches that end."""
 _AT_ONCE = 128
 """Lines that are looked at together: copies of all of a long scan's heights are megabytes."""
 _SAMPLED = 64
@@ -89,7 +94,9 @@ def torn_lines(height_mm: Floats, oblique_rows: int) -> Flags:
             found[first + k] |= clear and _longest_run(unseen[k, asked]) >= _ON_END * many[k]
     # first and last rows of lines are looked at in the same way
     for end in _ends_of_parts(height_mm):
-        found |= _outliers(end)
+        for line in np.flatnonzero(_outliers(end)).tolist():
+            usual = float(np.median(end[[line - 2, line - 1, line + 1, line + 2]]))
+            found[line] |= not _goes_on(height_mm[line], usual, float(end[line]))
     return found
 
 
@@ -130,16 +137,21 @@ def _outliers(end: Floats) -> Flags:
     return found
 
 
+def _goes_on(line_mm: Floats, usual_row: float, end_row: float) -> bool:
+    """Say whether a line (row,) is seen out to the usual end, in parts that are too short to count.
+
+    A ball's shadow cuts off the last 18 rows of a plate; where rows are lost, nothing is seen out there.
+    """
+    low, high = sorted((round(usual_row), round(end_row)))
+    inwards = usual_row < end_row if 2 * end_row < line_mm.size else usual_row > end_row
+    return bool(inwards and np.isfinite(line_mm[low:high]).mean() >= _GOES_ON)
+
+
 def _beside(here: Floats, around: list[Floats], limit_mm: float, oblique_rows: int) -> bool:
     """Say whether all of some lines (line, row) lie in a run beside the two before and the two after them."""
     _, before, after, _ = around
-    step = np.abs(after - before)
-    beside = np.isfinite(step)
-    for line in here:
-        # beyond both neighbours, and by more than half of their difference
-        over = np.maximum(np.minimum(before, after) - line, line - np.maximum(before, after))
-        beside &= (over > limit_mm) & (over > _OF_STEP * step)
-    if not _has_run(beside):
+    beside = _beyond_both(here, before, after, limit_mm)
+    if not beside.size:
         return False
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
@@ -156,6 +168,28 @@ def _beside(here: Floats, around: list[Floats], limit_mm: float, oblique_rows: i
         for one in led_to:
             beside &= ~(np.abs(line - one) < limit_mm)
     return _has_run(beside)
+
+
+@float_kernel
+def _beyond_both(here: Floats, before: Floats, after: Floats, limit_mm: float) -> Flags:
+    """Say where (row,) all lines lie beyond both neighbours, by more than half of their difference.
+
+    Empty where no run of rows is long enough: nearly always, so all that stops early.
+    """
+    lines, rows = here.shape
+    beside = np.empty(rows, np.bool_)
+    run, longest = 0, 0
+    for k in range(rows):
+        low, high = min(before[k], after[k]), max(before[k], after[k])
+        far = max(limit_mm, _OF_STEP * (high - low))
+        # what is not seen in one of them lies beyond nothing
+        one = not (math.isnan(before[k]) or math.isnan(after[k]))
+        for line in range(lines):
+            one &= max(low - here[line, k], here[line, k] - high) > far
+        beside[k] = one
+        run = run + 1 if one else 0
+        longest = max(longest, run)
+    return beside if longest >= _RUN else beside[:0]
 
 
 def _longest_run(marked: Flags) -> int:

@@ -12,6 +12,9 @@ from roemetry.config.scene_parts import Part
 
 Floats = NDArray[np.float64]
 
+_JITTER, _PHASE = 83, 84
+"""Streams of random numbers beside a scan's seed, which no other part of a scene draws from."""
+
 
 class ScanPart(Part):
     """How the belt runs, and when frames are taken."""
@@ -57,13 +60,16 @@ class ScanPart(Part):
         """Give (line,) counts, and (line, 3) by how much the product has moved since it lay at X = 0, mm.
 
         `along_mm` is where the product begins and ends along X, `lines_x_mm` where planes of light meet the
-        belt. Its near end comes to the first plane, and its far end passes the last.
+        belt. Its near end comes to the first plane, and its far end passes the last. Between two lines the
+        product's end may lie anywhere, as the seed draws.
         """
         low, high = along_mm[0] - self.lead_mm, along_mm[1] + self.lead_mm
         begin, end = lines_x_mm.min() - high, lines_x_mm.max() - low
         if self.mm_per_count[0] < 0.0:
             begin, end = end, begin
-        lines = math.ceil((end - begin) / (self.counts_per_line * self.mm_per_count[0])) + 1
+        step_mm = self.counts_per_line * self.mm_per_count[0]
+        begin -= np.random.default_rng([seed, _PHASE]).random() * step_mm
+        lines = math.ceil((end - begin) / step_mm) + 1
         counts = self.counts_per_line * np.arange(lines)
         share = np.full(lines, 1.0)
         share[lines // 3 : 2 * lines // 3] += self.slip_share
@@ -72,7 +78,7 @@ class ScanPart(Part):
             [begin + gone * self.mm_per_count[0], gone * self.mm_per_count[1], np.zeros(lines)]
         )
         if self.jitter_mm:
-            moved[:, 2] = np.random.default_rng([seed, 83]).normal(0.0, self.jitter_mm, lines)
+            moved[:, 2] = np.random.default_rng([seed, _JITTER]).normal(0.0, self.jitter_mm, lines)
         return counts, moved
 
     def runs(self, projector_mm: Floats, axis: Floats, lines_x_mm: Floats) -> Floats:

@@ -47,7 +47,7 @@ from roemetry.run.preprocess import prepare, prepare_plain
 from roemetry.run.scan import Placing, cut_by_scan, gather, measured_by_another, placed_only
 from roemetry.run.stage_errors import describe_failure, is_refusal, plugin_frame
 from roemetry.run.time_limit import StageTimeout, time_limit, timer_kept
-from roemetry.run.transport_faults import check_joins
+from roemetry.run.transport_faults import check_joins, not_counted, not_told
 from roemetry.stages.kinds import Extractor, check_result_type
 
 T = TypeVar("T")
@@ -330,9 +330,10 @@ class Pipeline:
 def frame_of(recipe: Recipe, acquisition: Acquisition, *, extractor: Any = None) -> Frame:
     """Make the laser frame ready as the recipe's source says; see `roemetry.run.preprocess.prepare`.
 
-    An extractor may count steps of the grey level, sooner than the core does.
+    An extractor may compare lines and count steps of the grey level, sooner than the core does.
     """
     source = recipe.source_choice
+    helper = extractor if isinstance(extractor, Extractor) else None
     frame = prepare(
         acquisition,
         channel=source.channel,
@@ -342,13 +343,11 @@ def frame_of(recipe: Recipe, acquisition: Acquisition, *, extractor: Any = None)
         subtract=source.subtract,
         bit_depth=source.bit_depth,
         sensor=recipe.sensor,
+        lines_differ=not_told if helper is None else helper.lines_differ,
     )
     # a contrast ends at once where the light is clipped: what the lens drew is in the grey image
     checked = frame if source.contrast == "none" else prepare(acquisition, turn_deg=0, subtract="none")
-    if isinstance(extractor, Extractor):
-        check_joins(checked, extractor.count_steps)
-    else:
-        check_joins(checked)
+    check_joins(checked, not_counted if helper is None else helper.count_steps)
     return frame
 
 

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from roemetry.errors import DataError
 from roemetry.records import Acquisition, Frame, Sensor
-from roemetry.run.transport_faults import check_lines, check_repeats
+from roemetry.run.transport_faults import LineTeller, check_lines, check_repeats, not_told
 
 _BLUE_GREEN_RED = {"blue": 0, "green": 1, "red": 2}
 _LUMA = np.array([0.114, 0.587, 0.299])  # ITU-R BT.601, in the order blue, green, red
@@ -50,6 +50,7 @@ def prepare(
     bit_depth: int | None = None,
     sensor: Sensor | None = None,
     second_channel: str | None = None,
+    lines_differ: LineTeller = not_told,
 ) -> Frame:
     """Make the laser frame ready; DataError where a frame is missing, sizes differ, or bits are in doubt.
 
@@ -67,6 +68,8 @@ def prepare(
         Bits in use, and the camera's noise; None leaves what the source said.
     second_channel
         That of a second family of light, as `channel`; None: there is one family.
+    lines_differ
+        `roemetry.stages.Extractor.lines_differ` of the extractor that will see the frame, which saves time.
     """
     laser = acquisition.frame("laser")
     if laser is None:
@@ -74,7 +77,7 @@ def prepare(
     if bit_depth is None and laser.bit_depth == 16:
         _check_bits_in_use(laser)
     bits = laser.bit_depth if bit_depth is None else bit_depth
-    check_lines(laser)
+    check_lines(laser, lines_differ)
     if acquisition.before is not None:
         check_repeats(laser, acquisition.before)
     found = _ready(acquisition, laser, channel, contrast, turn_deg, subtract, bits, sensor)

@@ -191,6 +191,21 @@ class Extractor(Stage[OptionsT]):
         """
         return None
 
+    def lines_differ(self, pixels: NDArray[Any]) -> bool:
+        """Say for certain that no row and no column is of one level or like another, for the check of lines.
+
+        Parameters
+        ----------
+        pixels
+            (row, column) of one channel, as acquired.
+
+        Returns
+        -------
+        bool
+            False tells nothing: the core looks at the lines itself, in several times the time.
+        """
+        return False
+
 
 class Aligner(Stage[OptionsT]):
     """Compares a frame's belt with the calibration, to detect motion of camera, laser or belt."""

@@ -177,6 +177,19 @@ def check_steps_are_counted_right(extractor: Extractor[Any]) -> None:
         require(np.array_equal(counted, right), f"steps {what} are counted wrong")
 
 
+def check_differing_lines_are_told_for_certain(extractor: Extractor[Any]) -> None:
+    """If an extractor says that all lines differ, no row or column repeats another or is of one level."""
+    rng = np.random.default_rng(1)
+    noise = rng.integers(0, 256, (400, 320), np.uint8)
+    for axis in (0, 1):
+        for what in ("repeats another", "is of one level"):
+            pixels = noise.copy()
+            lines = pixels if axis == 0 else pixels.T
+            lines[250] = lines[31] if what == "repeats another" else 7
+            kind = ("row", "column")[axis]
+            require(not extractor.lines_differ(pixels), f"a {kind} {what}, and all lines are said to differ")
+
+
 def check_the_smallest_frames_are_taken(extractor: Extractor[Any]) -> None:
     """A frame of one pixel, row or column gives no peak; of lines alone it may be a `RoemetryError`."""
     for shape in ((1, 1), (1, 40), (40, 1), (2, 2), (3, 3)):

@@ -179,6 +179,16 @@ def test_a_rim_does_not_depend_on_where_the_outermost_line_lies(first_mm: float)
     np.testing.assert_allclose(by_row[1], 10.0, atol=0.5)
 
 
+def test_rows_under_the_outermost_line_tell_a_rim_where_no_others_do() -> None:
+    """All other rows are flat up to where they end; formerly there was no rim then."""
+    xyz_mm, label, _ = half_ellipsoid(0.5 + np.arange(-25.0, 35.0), 12.0)
+    flat = np.abs(xyz_mm[..., 1]) > 6.0
+    xyz_mm[flat & (label == 1), 2] = 20.0
+    rims, by_row = rims_of(xyz_mm, label, np.zeros(label.shape, np.bool_), 1)
+    assert rims[1] == pytest.approx(10.0, abs=1.1)  # what half a spacing is worth
+    np.testing.assert_allclose(by_row[1], rims[1], atol=1.1)
+
+
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_a_row_that_does_not_bend_or_hardly_ends_where_those_beside_it_do(way: float) -> None:
     """Whichever way X runs from line to line: rows were followed to the belt, 10 mm beyond their product."""
@@ -224,3 +234,11 @@ def test_ends_between_lines_cost_nothing_on_the_mean(wall_mm: float, dome_mm: fl
     assert np.max(np.abs(off)) < 4e-3
     # a wall: half a spacing on the mean
     assert end_held(5.0, 5.0) == (0.5, 0.0)
+
+
+@pytest.mark.parametrize("wall_share", [0.0, 0.3, 1.0])
+def test_what_lies_beyond_an_end_changes_smoothly_from_round_ends_to_blunt_ones(wall_share: float) -> None:
+    """Formerly it jumped by 0.08 of the inner area where the end of a dome is a spacing away."""
+    ratio = np.linspace(0.01, 1.0, 2000)
+    beyond = np.array([np.dot(end_held(one, 1.0, wall_share), (one, 1.0)) for one in ratio])
+    assert np.abs(np.diff(beyond)).max() < 3e-3  # by slope 0.002 at most
