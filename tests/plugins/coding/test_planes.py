@@ -58,7 +58,7 @@ def test_stripes_are_in_order_on_epipolar_lines(dense) -> None:
 
 
 def test_a_stripe_left_out_amid_a_body_costs_more_if_it_gives_light(dense) -> None:
-    """By `amid` for one with light, whatever else it costs; nothing where a label is belt, or none is left out."""
+    """By `amid` for one with light, whatever else it costs; no more where a label is belt."""
     rest = calibrated_rest_lines(dense.peaks, dense.calibration)
     problem = build_problem(dense.peaks, dense.calibration, rest, 2.0)
     visible = np.ones_like(problem.visible)
