@@ -370,27 +370,35 @@ def _over_belt(pixels: NDArray[Any], belt: NDArray[Any] | None, product: Flags) 
         return max(planes, key=lambda plane: _contrast(plane[few], product[few]))
     if pixels.ndim == 3:
         colours = [pixels[..., k] for k in range(3)]
-        seen = [logarithm(one[few]) - _own_belt(one, product, _SAMPLED) for one in colours]
+        fits = [_own_belt(one, product) for one in colours]
+        seen = [
+            logarithm(one[few]) - _belt_at(fit, product.shape, _SAMPLED)
+            for one, fit in zip(colours, fits, strict=True)
+        ]
         most = max(range(3), key=lambda k: _contrast(seen[k], product[few]))
-        return _over_belt(colours[most], None, product)
+        return np.asarray(logarithm(colours[most]) - _belt_at(fits[most], product.shape, 1))
     bright = logarithm(pixels)
     if belt is not None:
         smooth = cv2.GaussianBlur(belt.astype(np.float32), (0, 0), _BELT_SMOOTH_PX)
         bright -= np.log(smooth + np.float32(1.0))
         return np.asarray(bright - np.median(bright[~product]))
-    bright -= _own_belt(pixels, product, 1)
-    return bright
+    return np.asarray(bright - _belt_at(_own_belt(pixels, product), product.shape, 1))
 
 
-def _own_belt(pixels: NDArray[Any], product: Flags, every: int) -> NDArray[np.float32]:
-    """Give the belt's brightness on every so many rows and columns.
+def _own_belt(pixels: NDArray[Any], product: Flags) -> Floats:
+    """Give (6,) the polynomial of the belt's brightness.
 
     It is fitted where the image is not product, by least squares that drop what is far off.
     """
-    rows, columns = pixels.shape
     apart = max(_GRID_PX, round(math.sqrt(pixels.size / _GRID_POINTS)))
     grid = np.s_[::apart, ::apart]
-    c = belt_fit(_belt_terms(rows, columns, apart), logarithm(pixels[grid]), product[grid])
+    found: Floats = belt_fit(_belt_terms(*pixels.shape, apart), logarithm(pixels[grid]), product[grid])
+    return found
+
+
+def _belt_at(c: Floats, size: tuple[int, ...], every: int) -> NDArray[np.float32]:
+    """Give the belt's brightness, of which `_own_belt` gave the polynomial, on every so many rows and columns."""
+    rows, columns = size
     v, u = np.arange(0, rows, every) / rows - 0.5, np.arange(0, columns, every) / columns - 0.5
     along = np.stack([c[0] + v * (c[2] + c[5] * v), c[1] + c[4] * v, np.full(v.size, c[3])], axis=1)
     return along.astype(np.float32) @ np.stack([np.ones(u.size), u, u * u]).astype(np.float32)
@@ -415,11 +423,16 @@ def belt_fit(terms: Floats, bright: NDArray[np.float32], product: Flags) -> Floa
         # of six terms within ±1 the normal equations lose nothing; the ridge is for slivers
         normal = _RIDGE * use.sum() * np.eye(count)
         for a in range(count):
+            of_seen = 0.0
             for k in range(seen.size):  # without a branch, so that several are taken at once
                 used[k] = terms[a, k] * use[k]
-            found[a] = (used * seen).sum()
+                of_seen += used[k] * seen[k]
+            found[a] = of_seen
             for b in range(a + 1):
-                normal[a, b] += (used * terms[b]).sum()
+                both = 0.0
+                for k in range(seen.size):
+                    both += used[k] * terms[b, k]
+                normal[a, b] += both
         solve(normal, found)
         off = seen - terms[0] * found[0]
         for a in range(1, count):
@@ -436,7 +449,7 @@ def _contrast(light: NDArray[np.float32], product: Flags) -> float:
     if not product.any() or product.all():
         return float(light.std())
     inside, outside = light[product], light[~product]
-    return abs(float(np.median(inside) - np.median(outside))) / (float(outside.std()) + 1e-6)
+    return abs(median_of(inside) - median_of(outside)) / (float(outside.std()) + 1e-6)
 
 
 def _seen_regions(stripes: StripeMap, size: tuple[int, int]) -> dict[int, Flags]:
