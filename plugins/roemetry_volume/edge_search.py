@@ -541,11 +541,13 @@ def _light_at(image: Image, x: float, y: float) -> float:
     """Give an image between its pixels; beyond its border, the border's."""
     rows, columns = image.shape
     x, y = min(max(x, 0.0), columns - 1.0), min(max(y, 0.0), rows - 1.0)
-    left, up = min(int(x), columns - 2), min(int(y), rows - 2)
-    across = x - left
-    above = image[up, left] + across * (image[up, left + 1] - image[up, left])
-    below = image[up + 1, left] + across * (image[up + 1, left + 1] - image[up + 1, left])
-    return above + (y - up) * (below - above)
+    # unsigned, which no index from the end can be
+    left, up = np.uint64(min(int(x), columns - 2)), np.uint64(min(int(y), rows - 2))
+    right, down = left + np.uint64(1), up + np.uint64(1)
+    across = x - np.int64(left)
+    above = image[up, left] + across * (image[up, right] - image[up, left])
+    below = image[down, left] + across * (image[down, right] - image[down, left])
+    return above + (y - np.int64(up)) * (below - above)
 
 
 @float_kernel
