@@ -320,7 +320,7 @@ def _paint(light: Floats, row: Integers, numbers: Floats) -> None:
 @kernel
 def _take_away(pixels: Any, light: Floats, left: Any, white: int) -> bool:
     """Write to `left` what is left of pixels without light; what is white stays white. Says if any is."""
-    some = False
+    some: Any = False
     for row in range(pixels.shape[0]):
         for column in range(pixels.shape[1]):  # without a branch, so that several are taken at once
             value = np.float64(pixels[row, column])
