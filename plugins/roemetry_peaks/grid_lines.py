@@ -146,7 +146,7 @@ def _light_of(peaks: Peaks, kept: Flags, turns: int, crossing: Flags | None = No
     """
     row = peaks.row[kept]
     numbers = _numbers(peaks, kept)
-    hidden_row, hidden = _hidden(row, numbers, _neighbour(row, numbers[:, 0]))
+    hidden_row, hidden = _hidden(row, numbers)
     row, numbers = np.concatenate([row, hidden_row]), np.concatenate([numbers, hidden])
     if crossing is not None and crossing.any():
         at_row, more = peaks.row[crossing], _numbers(peaks, crossing)
@@ -160,7 +160,7 @@ def _light_of(peaks: Peaks, kept: Flags, turns: int, crossing: Flags | None = No
 
 def _numbers(peaks: Peaks, which: Flags) -> Floats:
     """Give (n, 3) place, height and standard deviation of some peaks."""
-    return np.column_stack([peaks.x_px, peaks.amplitude, peaks.width_px / FWHM_OF_SIGMA])[which]
+    return np.column_stack([peaks.x_px[which], peaks.amplitude[which], peaks.width_px[which] / FWHM_OF_SIGMA])
 
 
 def _pixels_of(peaks: Peaks) -> tuple[Integers, Integers]:
@@ -210,23 +210,9 @@ def _squares_around(along: Any, down: Any, row: Integers, column: Integers) -> t
     return found[0] / _AROUND_PX**2, found[1] / _AROUND_PX**2
 
 
-def _neighbour(row: Integers, x_px: Floats) -> Integers:
-    """Give (peak,) the nearest peak in the next row, of peaks sorted by row and x; −1 where none is near."""
-    if row.size == 0:
-        return np.empty(0, np.int64)
-    # rows one after the other on one axis, each longer than the image is wide
-    wide = float(x_px.max()) + 10.0 * _STEP_PX
-    key = row * wide + x_px
-    at = np.searchsorted(key, key + wide)
-    before, after = np.maximum(at - 1, 0), np.minimum(at, row.size - 1)
-    nearest = np.where(np.abs(key[before] - key - wide) < np.abs(key[after] - key - wide), before, after)
-    near = np.abs(key[nearest] - key - wide) <= _STEP_PX
-    return np.where(near, nearest, -1)
-
-
 def _apart(row: Integers, x_px: Floats, other_row: Integers, other_px: Floats) -> Floats:
     """Give how far the nearest of other places in the same row is; more than the image is wide of none."""
-    # as in `_neighbour`: each row has its own stretch of one axis
+    # rows one after the other on one axis, each longer than the image is wide
     wide = 2.0 * max(float(x_px.max(initial=0.0)), float(other_px.max(initial=0.0))) + 1.0
     key, others = row * wide + x_px, np.sort(np.concatenate([[-np.inf, np.inf], other_row * wide + other_px]))
     at = np.searchsorted(others, key)
@@ -234,12 +220,13 @@ def _apart(row: Integers, x_px: Floats, other_row: Integers, other_px: Floats) -
 
 
 @kernel
-def _hidden(row: Integers, numbers: Floats, ahead: Integers) -> tuple[Integers, Floats]:
+def _hidden(row: Integers, numbers: Floats) -> tuple[Integers, Floats]:
     """Give rows and numbers, x, height and size, of what lies between ends of lines and where they go on.
 
     An end and a beginning belong together where each is for the other the one that bends the line least.
+    Peaks are sorted by row and x.
     """
-    count = row.size
+    count, ahead = row.size, _ahead(row, numbers)
     behind = np.full(count, -1)
     for k in range(count):
         if ahead[k] >= 0:
@@ -284,6 +271,21 @@ def _hidden(row: Integers, numbers: Floats, ahead: Integers) -> tuple[Integers, 
 
 
 @kernel
+def _ahead(row: Integers, numbers: Floats) -> Integers:
+    """Give (peak,) the nearest peak in the next row; −1 where none is near."""
+    ahead, at = np.full(row.size, -1), 0
+    for k in range(row.size):
+        # up to the first that is not left of it there
+        while at < row.size and row[at] + (numbers[at, 0] >= numbers[k, 0]) <= row[k] + 1:
+            at += 1
+        nearest = _STEP_PX
+        for n in (at - 1, at):
+            if 0 <= n < row.size and row[n] == row[k] + 1 and abs(numbers[n, 0] - numbers[k, 0]) <= nearest:
+                nearest, ahead[k] = abs(numbers[n, 0] - numbers[k, 0]), n
+    return ahead
+
+
+@kernel
 def _slope(row: Integers, numbers: Floats, way: Integers, at: int) -> float:
     """Give px a row, over as many as eight rows, of the line that leads from a peak away by `way`."""
     last = at
@@ -318,16 +320,13 @@ def _paint(light: Floats, row: Integers, numbers: Floats) -> None:
 @kernel
 def _take_away(pixels: Any, light: Floats, left: Any, white: int) -> bool:
     """Write to `left` what is left of pixels without light; what is white stays white. Says if any is."""
-    some = False
+    some: Any = False
     for row in range(pixels.shape[0]):
-        for column in range(pixels.shape[1]):
-            value = pixels[row, column]
-            if value >= white:
-                left[row, column], some = white, True
-            elif light[row, column] == 0.0:
-                left[row, column] = value
-            else:
-                left[row, column] = max(np.rint(value - light[row, column]), 0.0)
+        for column in range(pixels.shape[1]):  # without a branch, so that several are taken at once
+            value = np.float64(pixels[row, column])
+            rest = max(np.rint(value - light[row, column]), 0.0)
+            left[row, column] = np.int32(white if value >= white else rest)
+            some |= value >= white
     return some
 
 

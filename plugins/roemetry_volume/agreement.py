@@ -97,7 +97,7 @@ def brackets_of(
         return _curves_of(scene, ring, stripes, number, light)
     if stripes.dots is not None:
         return _dots_of(scene, ring, stripes, number)
-    return _ends_of(scene, ring, stripes, number, placed=placed)
+    return _ends_of(ring, unbound(scene, ring), stripes, number, placed=placed)
 
 
 class _EndBrackets(NamedTuple):
@@ -288,9 +288,14 @@ def _curves_of(
     if min(len(on), _STRIP_SHARE * len(beside)) < _LEAST_ENDS:
         return None
     free = unbound(scene, ring)
-    if light is not None:  # farther light stays on its side however the image is shifted
-        light = light.near(free, 2.0 * _SHIFT_MAX_PX)
-    ends = _ends_of(scene, ring, stripes, number, placed=True)  # how the images lie, `light` tells
+    # farther belt and light stay on their side however the image is shifted
+    reach_px = 2.0 * _SHIFT_MAX_PX
+    near = ((beside > free.min(axis=0) - reach_px) & (beside < free.max(axis=0) + reach_px)).all(axis=1)
+    if np.count_nonzero(near) > len(on):  # of fewer it could be one of the others that decides
+        beside = beside[near]
+    if light is not None:
+        light = light.near(free, reach_px)
+    ends = _ends_of(ring, free, stripes, number, placed=True)  # how the images lie, `light` tells
     return _CurveBrackets(ring, free, on, beside, ends, light)
 
 
@@ -306,7 +311,7 @@ def _best_shifted(left_px: Callable[[Floats], float]) -> float:
 
 
 def _ends_of(
-    scene: Scene, ring: Floats, stripes: StripeMap, number: int, *, placed: bool
+    ring: Floats, free: Floats, stripes: StripeMap, number: int, *, placed: bool
 ) -> _EndBrackets | None:
     """Find the ends of what is seen of a product's stripes, and the belt next to them; None of too few."""
     ends, beyond = ends_of_stripes(stripes.x_px, stripes.seen, stripes.product, number, LEAST_ROWS)
@@ -323,7 +328,7 @@ def _ends_of(
         )
     if len(ends) < _LEAST_ENDS:
         return None
-    return _EndBrackets(ring, unbound(scene, ring), ends, beyond, across is not None, placed)
+    return _EndBrackets(ring, free, ends, beyond, across is not None, placed)
 
 
 def _at_the_rim(stripes: StripeMap, number: int) -> tuple[Floats, Floats]:

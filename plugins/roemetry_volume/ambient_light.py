@@ -69,9 +69,10 @@ def ambient_light(
     of_beside = beside * pixels
     share, total = (cv2.GaussianBlur(one, (0, 0), SMOOTHED_PX) for one in (beside, of_beside))
     filled = share <= _FILLED_SHARE
-    light = np.where(filled, _widely(of_beside, beside), total / np.maximum(share, 1e-6))
-    steps = min(_STEPS, np.iinfo(np.uint16).max / max(float(light.max()), 1.0))
-    return np.asarray(np.rint(steps * light).astype(np.uint16)), filled
+    light = cv2.divide(total, cv2.max(share, 1e-6))
+    np.copyto(light, _widely(of_beside, beside), where=filled)
+    light *= min(_STEPS, np.iinfo(np.uint16).max / max(float(light.max()), 1.0))
+    return np.rint(light, out=light).astype(np.uint16), filled
 
 
 def _widely(of_beside: Floats, beside: Floats) -> Floats:

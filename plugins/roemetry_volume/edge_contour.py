@@ -153,7 +153,8 @@ class EdgeContour(Outliner[EdgeContourOptions]):
             level = _over_belt(light, dark, product)
         taken_out = None if on_stripes is None else on_stripes.astype(np.float32)
         many = stripes.stripe_count > 1
-        other = _shown_otherwise(level, known, stripes, spacing) if use_plain and known and many else {}
+        belts = {number: _belt_stripes(stripes, number, frame.size) for number in known if use_plain}
+        other = _shown_otherwise(level, known, belts, stripes, spacing) if belts and many else {}
         of_circles = None
         view = None if calibration is None else calibration.view
         if stripes.circles and use_plain and known and view is not None:
@@ -164,13 +165,13 @@ class EdgeContour(Outliner[EdgeContourOptions]):
                 continue
             bounds = None
             if known:
-                held, on_belt = _eroded(region), stripes
-                if on_stripes is not None:
+                if on_stripes is None:
+                    beside = belts[number]
+                else:
                     on_belt = _with_belt_by_light(stripes, level, region, on_stripes)
-                belt = _belt_stripes(on_belt, number, frame.size)
-                if on_stripes is not None:
-                    belt |= _belt_between(on_belt, frame.size, spacing)
-                bounds = held.astype(np.float32), belt.astype(np.float32)
+                    beside = _belt_stripes(on_belt, number, frame.size)
+                    beside |= _belt_between(on_belt, frame.size, spacing)
+                bounds = _eroded(region).astype(np.float32), beside.astype(np.float32)
             scene = Scene(level, bounds, taken_out, 0.0 if use_plain else SMOOTHED_PX, spacing)
             edge = edge_around(scene, _ring_around(region, spacing))
             if edge is None:
@@ -223,13 +224,15 @@ def _is_clear(level: NDArray[np.float32], region: Flags) -> bool:
 
 
 def _shown_otherwise(
-    level: NDArray[np.float32], known: dict[int, Flags], stripes: StripeMap, spacing_px: float
-) -> dict[int, Reason]:
+    level: NDArray[np.float32], known: dict[int, Flags], belts: dict[int, NDArray[np.uint8]],
+    stripes: StripeMap, spacing_px: float,
+) -> dict[int, Reason]:  # fmt: skip
     """Say of which products the plain image shows a body far larger or far smaller than the stripes do.
 
     A body may end up to one spacing beyond its stripes; of a single stripe nobody knows how far: it has none.
     Stripes on a product lie on its body, whose rims and spots may be dark: the body is the convex hull of
-    what is bright, and they may lie up to one spacing outside it. Stripes on the belt lie outside of it.
+    what is bright, and they may lie up to one spacing outside it. Stripes on the belt, of each product in
+    `belts`, lie outside of it.
     """
     import cv2
 
@@ -254,7 +257,7 @@ def _shown_otherwise(
                 region & (_distance_px(_hull(core & region)) > spacing_px),
             )
         )
-        within = _belt_within(_distance_px(~shown), stripes, number, level.shape)
+        within = _belt_within(_distance_px(~shown), belts[number], stripes, number)
         if beyond > _BEYOND_SHARE:
             said = f"{beyond:.0%} more of the product than the stripes do"
         elif bare > _BARE_SHARE:
@@ -273,14 +276,14 @@ def _shown_otherwise(
 
 
 def _belt_within(
-    depth_px: NDArray[np.float32], stripes: StripeMap, number: int, size: tuple[int, ...]
+    depth_px: NDArray[np.float32], belt: NDArray[np.uint8], stripes: StripeMap, number: int
 ) -> float:
     """Say how many points on the belt lie far within a product's body, as a share of those on the product.
 
-    `depth_px` says of every fourth pixel how far it lies within the body.
+    `depth_px` says of every fourth pixel how far it lies within the body, `belt` of each whether a stripe is
+    seen there on the belt.
     """
-    drawn = _belt_stripes(stripes, number, (size[0], size[1]))
-    rows, columns = np.divmod(np.flatnonzero(drawn.view(np.bool_)), size[1])
+    rows, columns = np.divmod(np.flatnonzero(belt.view(np.bool_)), belt.shape[1])
     last = depth_px.shape[0] - 1, depth_px.shape[1] - 1
     depth = depth_px[np.minimum(rows // _COARSE, last[0]), np.minimum(columns // _COARSE, last[1])]
     families = (stripes,) if stripes.across is None else (stripes, stripes.across)
@@ -370,27 +373,35 @@ def _over_belt(pixels: NDArray[Any], belt: NDArray[Any] | None, product: Flags) 
         return max(planes, key=lambda plane: _contrast(plane[few], product[few]))
     if pixels.ndim == 3:
         colours = [pixels[..., k] for k in range(3)]
-        seen = [logarithm(one[few]) - _own_belt(one, product, _SAMPLED) for one in colours]
+        fits = [_own_belt(one, product) for one in colours]
+        seen = [
+            logarithm(one[few]) - _belt_at(fit, product.shape, _SAMPLED)
+            for one, fit in zip(colours, fits, strict=True)
+        ]
         most = max(range(3), key=lambda k: _contrast(seen[k], product[few]))
-        return _over_belt(colours[most], None, product)
+        return np.asarray(logarithm(colours[most]) - _belt_at(fits[most], product.shape, 1))
     bright = logarithm(pixels)
     if belt is not None:
         smooth = cv2.GaussianBlur(belt.astype(np.float32), (0, 0), _BELT_SMOOTH_PX)
         bright -= np.log(smooth + np.float32(1.0))
         return np.asarray(bright - np.median(bright[~product]))
-    bright -= _own_belt(pixels, product, 1)
-    return bright
+    return np.asarray(bright - _belt_at(_own_belt(pixels, product), product.shape, 1))
 
 
-def _own_belt(pixels: NDArray[Any], product: Flags, every: int) -> NDArray[np.float32]:
-    """Give the belt's brightness on every so many rows and columns.
+def _own_belt(pixels: NDArray[Any], product: Flags) -> Floats:
+    """Give (6,) the polynomial of the belt's brightness.
 
     It is fitted where the image is not product, by least squares that drop what is far off.
     """
-    rows, columns = pixels.shape
     apart = max(_GRID_PX, round(math.sqrt(pixels.size / _GRID_POINTS)))
     grid = np.s_[::apart, ::apart]
-    c = belt_fit(_belt_terms(rows, columns, apart), logarithm(pixels[grid]), product[grid])
+    found: Floats = belt_fit(_belt_terms(*pixels.shape, apart), logarithm(pixels[grid]), product[grid])
+    return found
+
+
+def _belt_at(c: Floats, size: tuple[int, ...], every: int) -> NDArray[np.float32]:
+    """Give the belt's brightness by its polynomial, on every so many rows and columns."""
+    rows, columns = size
     v, u = np.arange(0, rows, every) / rows - 0.5, np.arange(0, columns, every) / columns - 0.5
     along = np.stack([c[0] + v * (c[2] + c[5] * v), c[1] + c[4] * v, np.full(v.size, c[3])], axis=1)
     return along.astype(np.float32) @ np.stack([np.ones(u.size), u, u * u]).astype(np.float32)
@@ -415,11 +426,16 @@ def belt_fit(terms: Floats, bright: NDArray[np.float32], product: Flags) -> Floa
         # of six terms within ±1 the normal equations lose nothing; the ridge is for slivers
         normal = _RIDGE * use.sum() * np.eye(count)
         for a in range(count):
+            of_seen = 0.0
             for k in range(seen.size):  # without a branch, so that several are taken at once
                 used[k] = terms[a, k] * use[k]
-            found[a] = (used * seen).sum()
+                of_seen += used[k] * seen[k]
+            found[a] = of_seen
             for b in range(a + 1):
-                normal[a, b] += (used * terms[b]).sum()
+                both = 0.0
+                for k in range(seen.size):
+                    both += used[k] * terms[b, k]
+                normal[a, b] += both
         solve(normal, found)
         off = seen - terms[0] * found[0]
         for a in range(1, count):
@@ -436,7 +452,7 @@ def _contrast(light: NDArray[np.float32], product: Flags) -> float:
     if not product.any() or product.all():
         return float(light.std())
     inside, outside = light[product], light[~product]
-    return abs(float(np.median(inside) - np.median(outside))) / (float(outside.std()) + 1e-6)
+    return abs(median_of(inside) - median_of(outside)) / (float(outside.std()) + 1e-6)
 
 
 def _seen_regions(stripes: StripeMap, size: tuple[int, int]) -> dict[int, Flags]:
@@ -653,7 +669,7 @@ def _core(smooth: Floats) -> Flags:
     """Threshold after Otsu; what covers less of the image is the product, bright or dark."""
     import cv2
 
-    low, high = np.percentile(smooth, [0.5, 99.5])
+    low, high = (quantile_of(smooth.ravel(), share) for share in (0.005, 0.995))
     if not high - low > _LEAST_CORE_CONTRAST:
         return np.zeros(smooth.shape, np.bool_)
     grey = np.clip(255.0 * (smooth - low) / (high - low), 0, 255).astype(np.uint8)

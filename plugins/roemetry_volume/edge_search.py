@@ -168,13 +168,15 @@ def edge_around(scene: Scene, start: Floats) -> Edge | None:
     if scene.stripes is not None:  # light adds up, its logarithm's noise does not
         return edge_between_stripes(scene._replace(level=np.exp(scene.level)), ring)
     sharp_px = math.hypot(_BLUR_PX, scene.blur_px)
-    blur_px = _blur_of(_across(scene, ring), sharp_px)
-    seen, std_px, scatter_px = _fitted(scene, ring, blur_px)
+    seen = _across(scene, ring)
+    blur_px = _blur_of(seen, sharp_px)
+    ring, std_px, scatter_px = _fitted(scene, seen, blur_px)
+    seen = _across(scene, ring)
     unsure = (1 - _BLUR_UNSURE, 1 + _BLUR_UNSURE)
     narrow, wide = (kinked(*seen, _model(share * blur_px))[0] for share in unsure)
     changed = 0.5 if blur_px == sharp_px else 1.0
     model_px = math.hypot(_MODEL_STD_PX, changed * _apart(narrow, wide))
-    return _edge(scene, seen.ring, math.hypot(std_px, model_px), scatter_px)
+    return _edge(scene, ring, math.hypot(std_px, model_px), scatter_px)
 
 
 def edge_between_stripes(scene: Scene, ring: Floats) -> Edge | None:
@@ -183,20 +185,21 @@ def edge_between_stripes(scene: Scene, ring: Floats) -> Edge | None:
     The scene's level is the light itself, not a logarithm; `ring` (400, 2) is the contour to begin with, px.
     None where too little of it is seen.
     """
-    seen, std_px, scatter_px = _fitted(scene, ring, math.hypot(_BLUR_PX, scene.blur_px))
-    clear, open_px = _seen(scene, seen.ring)
+    blur_px = math.hypot(_BLUR_PX, scene.blur_px)
+    ring, std_px, scatter_px = _fitted(scene, _across(scene, ring), blur_px)
+    clear, open_px = _seen(scene, ring)
     if clear < _CLEAR_LEAST:
         return None
-    return _edge(scene, seen.ring, math.hypot(std_px, _LASER_STD_PX, open_px), scatter_px)
+    return _edge(scene, ring, math.hypot(std_px, _LASER_STD_PX, open_px), scatter_px)
 
 
-def _fitted(scene: Scene, ring: Floats, blur_px: float) -> tuple[_Across, float, float]:
-    """Move a ring to the brightness's kink; give what lies across it there, and see `kinked`."""
-    seen, model = _across(scene, ring), _model(blur_px)
-    for _ in range(_FIT_ROUNDS):
-        ring, std_px, scatter_px = kinked(*seen, model)
-        seen = _across(scene, ring)
-    return seen, std_px, scatter_px
+def _fitted(scene: Scene, seen: _Across, blur_px: float) -> tuple[Floats, float, float]:
+    """Move a ring, and what lies across it, to the brightness's kink; see `kinked`."""
+    model = _model(blur_px)
+    for _ in range(_FIT_ROUNDS - 1):
+        seen = _across(scene, kinked(*seen, model)[0])
+    found: tuple[Floats, float, float] = kinked(*seen, model)
+    return found
 
 
 def _edge(scene: Scene, ring: Floats, std_px: float, scatter_px: float) -> Edge:
@@ -538,11 +541,13 @@ def _light_at(image: Image, x: float, y: float) -> float:
     """Give an image between its pixels; beyond its border, the border's."""
     rows, columns = image.shape
     x, y = min(max(x, 0.0), columns - 1.0), min(max(y, 0.0), rows - 1.0)
-    left, up = min(int(x), columns - 2), min(int(y), rows - 2)
-    across = x - left
-    above = image[up, left] + across * (image[up, left + 1] - image[up, left])
-    below = image[up + 1, left] + across * (image[up + 1, left + 1] - image[up + 1, left])
-    return above + (y - up) * (below - above)
+    # unsigned, which no index from the end can be
+    left, up = np.uint64(min(int(x), columns - 2)), np.uint64(min(int(y), rows - 2))
+    right, down = left + np.uint64(1), up + np.uint64(1)
+    across = x - np.int64(left)
+    above = image[up, left] + across * (image[up, right] - image[up, left])
+    below = image[down, left] + across * (image[down, right] - image[down, left])
+    return above + (y - np.int64(up)) * (below - above)
 
 
 @float_kernel

@@ -256,7 +256,7 @@ def logarithm(pixels: NDArray[Any]) -> Singles:
     for k in range(1, pixels.shape[2]):
         total += pixels[..., k]
     levels = (np.arange(255 * pixels.shape[2] + 1) / pixels.shape[2]).astype(np.float32)
-    return np.asarray(np.log(levels + np.float32(1.0))[total])
+    return np.asarray(np.log(levels + np.float32(1.0)).take(total))
 
 
 _LOGARITHMS = np.log(np.arange(256, dtype=np.float32) + np.float32(1.0))
@@ -412,8 +412,6 @@ def _of(a: Singles, dim: _Seen) -> _Compared:
 
 def _sampled(images: Singles, dim: _Seen, motion: Floats, every: float) -> Singles:
     """Give (image, place) what each of some images has at the places, once they have moved."""
-    if not motion.any():
-        return images.reshape(len(images), -1)[:, dim.place]
     found = np.empty((len(images), dim.place.size), np.float32)
     sampled_at(images, dim.place, motion, every, found)
     return found
@@ -427,10 +425,15 @@ def sampled_at(images: Singles, place: Integers, motion: Floats, every: float, f
     pixel is, px of the `motion`.
     """
     rows, columns = images.shape[1:]
+    if not motion.any():
+        for n in range(found.shape[0]):
+            found[n] = images[n].ravel()[place]
+        return
     level = motion.copy()
     level[:2] /= every
     matrix = _matrix(level, rows, columns).astype(np.float32)
     row, first = 0, 0
+    nowhere, wide, high = np.float32(-1.0), np.float32(columns), np.float32(rows)
     # in the order in which OpenCV's warp rounds: what is the same along a row first
     of_x, of_y = matrix[0, 2], matrix[1, 2]
     for k in range(place.size):
@@ -439,13 +442,14 @@ def sampled_at(images: Singles, place: Integers, motion: Floats, every: float, f
             of_x = matrix[0, 1] * np.float32(row) + matrix[0, 2]
             of_y = matrix[1, 1] * np.float32(row) + matrix[1, 2]
         column = np.float32(place[k] - first)
-        x, y = matrix[0, 0] * column + of_x, matrix[1, 0] * column + of_y
-        left, top = np.floor(x), np.floor(y)
-        share, low = x - left, y - top
+        # farther out than a pixel the border is all there is
+        x = min(max(matrix[0, 0] * column + of_x, nowhere), wide)
+        y = min(max(matrix[1, 0] * column + of_y, nowhere), high)
+        left, top = np.int64(np.floor(x)), np.int64(np.floor(y))
+        share, low = x - np.float32(left), y - np.float32(top)
         # unsigned, which no index from the end can be
         j, i = np.uint64(min(max(left, 0), columns - 1)), np.uint64(min(max(top, 0), rows - 1))
-        right = np.uint64(min(max(left + 1, 0), columns - 1))
-        under = np.uint64(min(max(top + 1, 0), rows - 1))
+        right, under = np.uint64(min(left + 1, columns - 1)), np.uint64(min(top + 1, rows - 1))
         for n in range(np.uint64(found.shape[0])):
             above = images[n, i, j] + share * (images[n, i, right] - images[n, i, j])
             below = images[n, under, j] + share * (images[n, under, right] - images[n, under, j])
