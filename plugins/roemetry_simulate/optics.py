@@ -435,7 +435,8 @@ def circles_through(
     The halves of each cone of light stand where planes of light stand in a fan: a point X lies on the cone
     with apex A, axis a and half angle α where n·X = d + b |X − A| for n = −a / sin α, d = n·A and
     b = −cot α; beside it the two sides differ by the distance to the cone, to first order. Halves come
-    from left to right: the left ones from the largest circle inwards, the right ones outwards. `right` is the direction that tells them, the camera's x.
+    from left to right: the left ones from the largest circle inwards, the right ones outwards. `right`
+    is the direction that tells them, the camera's x.
     """
     projector = np.asarray(projector_mm, dtype=np.float64)
     axis = np.asarray(centre_mm, dtype=np.float64) - projector
