@@ -44,7 +44,7 @@ from roemetry.records.calibration import Calibration
 from roemetry.run.pipeline import Pipeline
 from roemetry.run.preprocess import prepare
 from roemetry_coding.planes import Planes
-from roemetry_coding.two_families import TwoFamilies, part_of
+from roemetry_coding.two_families import TwoFamilies
 from roemetry_peaks.gaussian import Gaussian
 from roemetry_peaks.two_channels import TwoChannels
 from roemetry_simulate.ray_caster import RayCaster
@@ -351,7 +351,7 @@ def judged(trace: Trace, truth: StripeTruth | None) -> NDArray[np.int64]:
             xyz_mm=np.where(own[..., None], truth.xyz_mm, np.nan),
             product=np.where(own, truth.product, -1).astype(truth.product.dtype),
         )  # fmt: skip
-        counts += _judged(part_of(peaks, mine), part, lines)
+        counts += _judged(peaks.some(mine, family=None), part, lines)
     return counts
 
 

@@ -365,15 +365,6 @@ def _without(
     with np.errstate(divide="ignore", invalid="ignore"):
         grown = np.hypot(1.0, _REMAINS * beside / peaks.amplitude)
     kept = np.flatnonzero(own)
-    left_over = replace(
-        peaks,
-        row=peaks.row[kept],
-        x_px=peaks.x_px[kept],
-        x_std_px=(peaks.x_std_px * grown)[kept],
-        amplitude=peaks.amplitude[kept],
-        background=peaks.background[kept],
-        width_px=peaks.width_px[kept],
-        flags=peaks.flags[kept],
-    )
+    left_over = peaks.some(kept, x_std_px=(peaks.x_std_px * grown)[kept])
     sure, alone = (along > _DIRECTED * down)[kept], (beside < _ALONE * peaks.amplitude)[kept]
     return left_over, sure & alone, sure & ~alone
