@@ -54,7 +54,9 @@ Key = tuple[str, str]  # module and name
 @cache
 def _file(module: str) -> Path:
     place = ROOT.joinpath("plugins", *module.split("."))
-    return place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+    # a package that has become a module may leave a folder of compiled files behind
+    alone = place.with_suffix(".py")
+    return alone if alone.exists() else place / "__init__.py"
 
 
 @cache

@@ -127,9 +127,7 @@ def _at_whole_pixels(peaks: Peaks) -> Peaks:
     x_px = np.round(peaks.x_px)
     keep = np.ones(x_px.size, np.bool_)
     keep[1:] = (np.diff(peaks.row) != 0) | (np.diff(x_px) != 0)
-    names = ("row", "x_std_px", "amplitude", "background", "width_px", "flags")
-    kept = {name: getattr(peaks, name)[keep] for name in names}
-    return replace(peaks, x_px=x_px[keep], **kept)
+    return peaks.some(keep, x_px=x_px[keep])
 
 
 def shown_mm(one: Traced) -> float:

@@ -286,7 +286,7 @@ def _distance(
 ) -> tuple[float, int]:  # fmt: skip
     """Signed distance from the plane to what the camera sees at an image point; and on what it lies."""
     camera_ray(pinhole, rotation, x_px, y_px, view)
-    on = first_hit(body, pinhole[:3], view, tol_mm, point)
+    on = first_hit(body, body.reach, pinhole[:3], view, tol_mm, point)
     if on < 0:
         return np.nan, on
     return plane[0] * point[0] + plane[1] * point[1] + plane[2] * point[2] - plane[3], on
@@ -322,7 +322,7 @@ def _search(
         steps = _places(places, columns, where, where[0] <= row <= where[1])
         for k in range(steps):
             camera_ray(pinhole, rotation, places[k], float(row), view)
-            on = first_hit(body, pinhole[:3], view, 1e-3, point)
+            on = first_hit(body, body.reach, pinhole[:3], view, 1e-3, point)
             for i in range(count):
                 now[i] = np.nan
                 if on >= 0:
@@ -349,7 +349,7 @@ def _search(
                 if not abs(f) < 1e-3 or x_px > columns - 0.5 or filled == space:
                     continue  # a jump from one surface to another, not a crossing
                 normal_at(body, on_here, point, normal)
-                cosine = sees(body, point, normal, projector, beam, scratch)
+                cosine = sees(body, body.reach, point, normal, projector, beam, scratch)
                 if cosine == 0.0:
                     continue
                 numbers[filled, 0], numbers[filled, 1], numbers[filled, 2] = row, i, on_here

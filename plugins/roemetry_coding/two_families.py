@@ -59,7 +59,9 @@ class TwoFamilies(Coder[PlanesOptions]):
         for family, name in enumerate(("first", "second")):
             mine = np.flatnonzero(peaks.family == family)
             try:
-                coded = Planes(self.options).code(part_of(peaks, mine), family_of(calibration, family))
+                coded = Planes(self.options).code(
+                    peaks.some(mine, family=None), family_of(calibration, family)
+                )
             except StageError as error:
                 raise StageError(f"lines of the {name} colour: {error.message}", hint=error.hint) from error
             label = coded.peak_stripe.astype(np.int64)
@@ -102,12 +104,6 @@ class TwoFamilies(Coder[PlanesOptions]):
         known = (together >= 0) & (stripe >= 0) & (together % 2 == peaks.family)
         runs = _runs_of(peaks, stripe, calibration.stripe_count)
         return runs.beside(known & (together != stripe), known)
-
-
-def part_of(peaks: Peaks, mine: Integers) -> Peaks:
-    """Give some of the peaks."""
-    names = "row", "x_px", "x_std_px", "amplitude", "background", "width_px", "flags"
-    return replace(peaks, **{name: getattr(peaks, name)[mine] for name in names}, family=None)
 
 
 @lru_cache(maxsize=4)

@@ -18,7 +18,6 @@ It fails where circles stand nearer together than three of their widths. Source:
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -29,7 +28,8 @@ from roemetry.records.arrays import Floats, Integers
 from roemetry.records.view import STEEP_MAX
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.tracing import trace_fragments
-from roemetry_peaks.gaussian import Gaussian, GaussianOptions
+from roemetry_peaks.finding import PeakOptions
+from roemetry_peaks.gaussian import Gaussian
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA
 
 _STEP_PX = 3.0
@@ -69,7 +69,7 @@ class CircleCurves(Extractor[CircleCurvesOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find where circles cross the rows of a frame."""
         given = self.options
-        peaks = Gaussian(GaussianOptions(threshold=given.threshold, width_max_px=given.width_max_px)).extract(
+        peaks = Gaussian(PeakOptions(threshold=given.threshold, width_max_px=given.width_max_px)).extract(
             frame
         )
         piece, _ = trace_fragments(peaks.row_start, peaks.x_px, _STEP_PX)
@@ -85,16 +85,8 @@ class CircleCurves(Extractor[CircleCurvesOptions]):
         x_px = np.clip(peaks.x_px - inwards_px, -0.5, frame.size[1] - 0.5)[kept]
         order = np.lexsort((x_px, peaks.row[kept]))
         kept, x_px = kept[order], x_px[order]
-        return replace(
-            peaks,
-            row=peaks.row[kept],
-            x_px=x_px,
-            x_std_px=np.hypot(peaks.x_std_px[kept], _INWARDS_STD * inwards_px[kept]),
-            amplitude=peaks.amplitude[kept],
-            background=peaks.background[kept],
-            width_px=peaks.width_px[kept],
-            flags=peaks.flags[kept],
-        )
+        x_std_px = np.hypot(peaks.x_std_px[kept], _INWARDS_STD * inwards_px[kept])
+        return peaks.some(kept, x_px=x_px, x_std_px=x_std_px)
 
 
 def _slopes(piece: Integers, x_px: Floats) -> tuple[Floats, Floats, Integers]:

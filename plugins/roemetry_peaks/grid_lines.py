@@ -30,8 +30,8 @@ from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
-from roemetry_peaks.finding import found
-from roemetry_peaks.gaussian import GaussianOptions, gaussian_peaks
+from roemetry_peaks.finding import PeakOptions, found
+from roemetry_peaks.gaussian import gaussian_peaks
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA, Stripes
 
 _FINE_PX = 1.0
@@ -92,7 +92,7 @@ class GridLines(Extractor[GridLinesOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the lines of a frame; those across in `Peaks.across`."""
         given = self.options
-        options = GaussianOptions(threshold=given.threshold, width_max_px=given.width_max_px)
+        options = PeakOptions(threshold=given.threshold, width_max_px=given.width_max_px)
         frames = (frame, turned(frame))
         # nothing of this first time is kept but the light that it takes away: middles are near enough
         upright, across = (
@@ -341,7 +341,7 @@ def _clipped_at(pixels: Any, light: Floats, row: Integers, column: Integers, whi
 
 
 def _without(
-    options: GaussianOptions, frame: Frame, light: Floats, *, checked: bool
+    options: PeakOptions, frame: Frame, light: Floats, *, checked: bool
 ) -> tuple[Peaks, Flags, Flags]:
     """Measure the lines that are left when the other family's light is taken away.
 
@@ -364,15 +364,6 @@ def _without(
     with np.errstate(divide="ignore", invalid="ignore"):
         grown = np.hypot(1.0, _REMAINS * beside / peaks.amplitude)
     kept = np.flatnonzero(own)
-    left_over = replace(
-        peaks,
-        row=peaks.row[kept],
-        x_px=peaks.x_px[kept],
-        x_std_px=(peaks.x_std_px * grown)[kept],
-        amplitude=peaks.amplitude[kept],
-        background=peaks.background[kept],
-        width_px=peaks.width_px[kept],
-        flags=peaks.flags[kept],
-    )
+    left_over = peaks.some(kept, x_std_px=(peaks.x_std_px * grown)[kept])
     sure, alone = (along > _DIRECTED * down)[kept], (beside < _ALONE * peaks.amplitude)[kept]
     return left_over, sure & alone, sure & ~alone

@@ -65,10 +65,7 @@ def _part(observed: CalibrationSet, family: int) -> CalibrationSet:
                 "the peaks say nothing of families",
                 hint="set `extractor: two-channels` and `second_channel`",
             )
-        kept = np.flatnonzero(peaks.family == family)
-        names = "row", "x_px", "x_std_px", "amplitude", "background", "width_px", "flags"
-        part = {name: getattr(peaks, name)[kept] for name in names}
-        return replace(one, peaks=replace(peaks, **part, family=None))
+        return replace(one, peaks=peaks.some(peaks.family == family, family=None))
 
     # lines take turns: the first family has one more where the number is odd
     count = (observed.stripe_count + 1 - family) // 2

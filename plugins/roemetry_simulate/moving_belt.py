@@ -30,7 +30,7 @@ from roemetry.records import Frame, ProductTruth, Simulated, Truth
 from roemetry_kernels.compiling import kernel
 from roemetry_simulate.optics import camera_ray
 from roemetry_simulate.products import MODELS, PRODUCTS, Drawn
-from roemetry_simulate.raycast import AnyBody, first_hit_in, normal_at, sees_in
+from roemetry_simulate.raycast import AnyBody, first_hit, normal_at, sees
 from roemetry_simulate.scene import RayCasterLaser, RayCasterOptions
 from roemetry_simulate.solid import EmptyBelt, Solid
 from roemetry_simulate.targets import RigSimulator
@@ -181,7 +181,7 @@ def _cross(
                     break
                 for k in range(3):
                     o[k] = near[k] + (start - near[2]) / d[2] * d[k]
-                on = first_hit_in(body, reach, o, d, 1e-9, point)
+                on = first_hit(body, reach, o, d, 1e-9, point)
                 if on < 0:
                     good = False
                     break
@@ -192,9 +192,9 @@ def _cross(
             guess = x
             normal_at(body, on, point, normal)
             # met by the plane, but hidden from the camera
-            if sees_in(body, reach, point, normal, pinhole[:3], beam, scratch) <= 0.0:
+            if sees(body, reach, point, normal, pinhole[:3], beam, scratch) <= 0.0:
                 continue
-            light = sees_in(body, reach, point, normal, projector, beam, scratch)
+            light = sees(body, reach, point, normal, projector, beam, scratch)
             run = 0.0
             for k in range(3):
                 run -= beam[k] * axis[k]

@@ -24,7 +24,7 @@ from roemetry_kernels.compiling import kernel
 from roemetry_simulate.optics import Camera, LaserFan, camera_ray, turned
 from roemetry_simulate.population import Group, draw_item
 from roemetry_simulate.products import Drawn
-from roemetry_simulate.raycast import AnyBody, first_hit_in, normal_at, sees_in
+from roemetry_simulate.raycast import AnyBody, first_hit, normal_at, sees
 from roemetry_simulate.render import as_stored, render
 from roemetry_simulate.scene import RayCasterOptions, contaminate, surface_of
 from roemetry_simulate.solid import Reach, Solid
@@ -96,13 +96,13 @@ def _meet_rays(body: AnyBody, projector: Floats, camera: Floats, ways: Floats) -
     for i in range(ways.shape[0]):
         for j in range(ways.shape[1]):
             # from the projector: where the ray's dot falls
-            on = first_hit_in(body, reach, projector, ways[i, j], 1e-4, point)
+            on = first_hit(body, reach, projector, ways[i, j], 1e-4, point)
             if on < 0:
                 continue
             normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
             normal_at(body, on, point, normal)
             # and is it seen from the camera
-            if sees_in(body, reach, point, normal, camera, beam, scratch) == 0.0:
+            if sees(body, reach, point, normal, camera, beam, scratch) == 0.0:
                 continue
             for m in range(3):
                 found[i, j, m] = point[m]
@@ -136,7 +136,7 @@ def _side(
 ) -> tuple[float, int]:  # fmt: skip
     """Signed distance to the plane of what the camera sees at an image point; also on what it lies."""
     camera_ray(pinhole, rotation, x_px, y_px, view)
-    on = first_hit_in(body, reach, pinhole[:3], view, 1e-12, point)
+    on = first_hit(body, reach, pinhole[:3], view, 1e-12, point)
     if on < 0:
         return np.nan, on
     off = plane[0] * point[0] + plane[1] * point[1] + plane[2] * point[2] - plane[3]
@@ -184,7 +184,7 @@ def _search(
         for k in range(steps + 1):
             # every sample of the row once, for all planes: sight is what costs
             camera_ray(pinhole, rotation, -0.5 + k * step_px, row, view)
-            on = first_hit_in(body, reach, pinhole[:3], view, 1e-4, point)
+            on = first_hit(body, reach, pinhole[:3], view, 1e-4, point)
             for i in range(count):
                 sides[k, i] = np.nan
                 if on >= 0:
@@ -221,7 +221,7 @@ def _search(
                     continue  # a jump from one surface to another, not a crossing
                 normal_at(body, on, point, normal)
                 # seen, and lit as well
-                if sees_in(body, reach, point, normal, projector, beam, scratch) == 0.0:
+                if sees(body, reach, point, normal, projector, beam, scratch) == 0.0:
                     continue
                 hits_out[i, row] += 1
                 # the product rather than the belt, then the higher one

@@ -100,17 +100,11 @@ def _may_meet(reach: Reach, o: Floats, d: Floats, t_max: float) -> bool:
 
 
 @kernel
-def first_hit(body: AnyBody, o: Floats, d: Floats, tol_mm: float, point: Floats) -> int:
-    """Write the first point a ray from above meets; 1 the body, 0 the belt, -1 neither."""
-    return first_hit_in(body, body.reach, o, d, tol_mm, point)
+def first_hit(body: AnyBody, reach: Reach, o: Floats, d: Floats, tol_mm: float, point: Floats) -> int:
+    """Write the first point a ray from above meets; 1 the body, 0 the belt, -1 neither.
 
-
-@kernel
-def first_hit_in(body: AnyBody, reach: Reach, o: Floats, d: Floats, tol_mm: float, point: Floats) -> int:
-    """Do what `first_hit` does, faster: `reach` is the body's own.
-
-    Kernels take it out of the body once: numba counts references of every array that is handed on, and most
-    rays never come near the body.
+    `reach` is the body's own. Kernels take it out of the body once: numba counts references of every array
+    that is handed on, and most rays never come near the body.
     """
     # where the belt would be met; upwards it never is
     t_belt = -o[2] / d[2] if d[2] < 0.0 else 1e300
@@ -183,19 +177,14 @@ def _choose_normal(body: Any, point: Any, normal: Any) -> Callable[..., None]:
 
 
 @kernel
-def sees(body: AnyBody, point: Floats, normal: Floats, light: Floats, d: Floats, start: Floats) -> float:
-    """Cosine at which a point receives a light at a place, 0 where it is turned away or shadowed.
-
-    `d` and `start` are scratch of shape (3,); `d` is left holding the unit direction to the light.
-    """
-    return sees_in(body, body.reach, point, normal, light, d, start)
-
-
-@kernel
-def sees_in(
+def sees(
     body: AnyBody, reach: Reach, point: Floats, normal: Floats, light: Floats, d: Floats, start: Floats
 ) -> float:
-    """Do what `sees` does, faster: `reach` is the body's own, taken out of it once."""
+    """Cosine at which a point receives a light at a place, 0 where it is turned away or shadowed.
+
+    `reach` is the body's own. `d` and `start` are scratch of shape (3,); `d` is left holding the unit
+    direction to the light.
+    """
     # from the surface towards the light
     length = 0.0
     for k in range(3):

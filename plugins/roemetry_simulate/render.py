@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from roemetry_kernels.compiling import kernel
 from roemetry_simulate.optics import Camera, Focus, LaserFan, blurred, camera_ray, defocused, depths_mm
-from roemetry_simulate.raycast import AnyBody, first_hit_in, normal_at, sees_in
+from roemetry_simulate.raycast import AnyBody, first_hit, normal_at, sees
 from roemetry_simulate.solid import Solid
 from roemetry_simulate.surface import Surface
 
@@ -370,7 +370,7 @@ def _render_laser(
                 y_px = row + (k // samples + 0.5) / samples - 0.5
                 camera_ray(pinhole, rotation, x_px, y_px, view)
                 # beside belt and product nothing comes back
-                on = first_hit_in(body, reach, origin, view, 1e-4, point)
+                on = first_hit(body, reach, origin, view, 1e-4, point)
                 if on < 0:
                     continue
                 normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
@@ -383,7 +383,7 @@ def _render_laser(
                 image[row, column, 1] += share * grey * (0.5 + 0.5 * normal[2])
                 if stray[3] > 0.0:
                     # 0 where the lamp is behind the surface or hidden
-                    cosine = sees_in(body, reach, point, normal, stray[:3], beam, scratch)
+                    cosine = sees(body, reach, point, normal, stray[:3], beam, scratch)
                     if cosine > 0.0:
                         gloss = gloss_at(albedo, maps, texture, point, on)
                         mirrored = specular(gloss, albedo[4], normal, beam, view)
@@ -400,7 +400,7 @@ def _render_laser(
                 # far from every plane: no shadow ray is cast, which most samples are spared
                 if light == 0.0 and soft == 0.0:
                     continue
-                cosine = sees_in(body, reach, point, normal, projector, beam, scratch)
+                cosine = sees(body, reach, point, normal, projector, beam, scratch)
                 if cosine == 0.0:
                     continue
                 # sine of the angle between beam and the plane across the lines: where along the line the
@@ -445,7 +445,7 @@ def _render_plain(
                 x_px = column + (k % samples + 0.5) / samples - 0.5
                 y_px = row + (k // samples + 0.5) / samples - 0.5
                 camera_ray(pinhole, rotation, x_px, y_px, view)
-                on = first_hit_in(body, reach, origin, view, 1e-4, point)
+                on = first_hit(body, reach, origin, view, 1e-4, point)
                 if on < 0:
                     continue
                 normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
@@ -456,7 +456,7 @@ def _render_plain(
                         grey *= picture_at(picture, picture_from, point)
                 # neighbouring pixels see neighbouring lamps of the ring
                 lamp = lamps[k, square * (row // step % square) + column // step % square]
-                cosine = sees_in(body, reach, point, normal, lamp, beam, scratch)
+                cosine = sees(body, reach, point, normal, lamp, beam, scratch)
                 # a quarter of the light is diffuse, from all sides
                 light = 0.25 * (0.5 + 0.5 * normal[2]) * grey
                 if cosine > 0.0:

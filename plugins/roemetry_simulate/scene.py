@@ -29,13 +29,13 @@ from roemetry.config.scene_parts import (
 from roemetry.errors import MisfitError
 from roemetry.records.view import undistort
 from roemetry.stages import StageOptions
-from roemetry_simulate.circles import circles_through
 from roemetry_simulate.optics import (
     Camera,
     Focus,
     LaserFan,
     border_points_mm,
     border_px,
+    circles_through,
     fan_through,
     looking_down,
     rows_through,

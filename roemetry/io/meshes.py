@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -138,7 +138,8 @@ def _read_ply(data: bytes) -> Triangles:
         raise ValueError("the header does not run from 'ply' to 'end_header'")
     body = rest[rest.index(b"\n") + 1 :]
     form, elements = _ply_header(head.decode("ascii", errors="replace").splitlines())
-    rows = _ply_text(body, elements) if form == "ascii" else _ply_binary(body, elements, form)
+    take = _ply_text(body) if form == "ascii" else _ply_binary(body, form)
+    rows = {element.name: _ply_rows(element, take) for element in elements}
     for needed in ("vertex", "face"):
         if needed not in rows:
             raise ValueError(f"there is no element {needed!r}")
@@ -165,45 +166,41 @@ def _ply_header(lines: Sequence[str]) -> tuple[str, list[_Element]]:
     return form, elements
 
 
-Rows = dict[str, list[list[Sequence[float]]]]
+Take = Callable[[str, int], list[float]]
+"""Gives the next so many numbers of a type."""
 
 
-def _ply_text(body: bytes, elements: Sequence[_Element]) -> Rows:
-    numbers = [float(word) for word in body.split()]
-    at = 0
-    rows: Rows = {}
-    for element in elements:
-        rows[element.name] = []
-        for _ in range(element.rows):
-            row: list[Sequence[float]] = []
-            for _, _, length in element.properties:
-                count = int(numbers[at]) if length else 1
-                at += bool(length)
-                row.append(numbers[at : at + count])
-                at += count
-            rows[element.name].append(row)
-    if at > len(numbers):
-        raise ValueError("the file ends early")
-    return rows
+def _ply_text(body: bytes) -> Take:
+    numbers, at = [float(word) for word in body.split()], 0
+
+    def take(kind: str, count: int) -> list[float]:
+        nonlocal at
+        at += count
+        if at > len(numbers):
+            raise ValueError("the file ends early")
+        return numbers[at - count : at]
+
+    return take
 
 
-def _ply_binary(body: bytes, elements: Sequence[_Element], form: str) -> Rows:
-    order = "<" if form == "binary_little_endian" else ">"
-    at = 0
-    rows: Rows = {}
-    for element in elements:
-        rows[element.name] = []
-        for _ in range(element.rows):
-            row: list[Sequence[float]] = []
-            for _, kind, length in element.properties:
-                count = 1
-                if length:
-                    count = int(np.frombuffer(body, order + length, 1, at)[0])
-                    at += np.dtype(length).itemsize
-                row.append(np.frombuffer(body, order + kind, count, at).tolist())
-                at += count * np.dtype(kind).itemsize
-            rows[element.name].append(row)
-    return rows
+def _ply_binary(body: bytes, form: str) -> Take:
+    order, at = "<" if form == "binary_little_endian" else ">", 0
+
+    def take(kind: str, count: int) -> list[float]:
+        nonlocal at
+        found: list[float] = np.frombuffer(body, order + kind, count, at).tolist()
+        at += count * np.dtype(kind).itemsize
+        return found
+
+    return take
+
+
+def _ply_rows(element: _Element, take: Take) -> list[list[list[float]]]:
+    """Read an element's rows: of each property its number, or the numbers of its list."""
+    return [
+        [take(kind, int(take(length, 1)[0]) if length else 1) for _, kind, length in element.properties]
+        for _ in range(element.rows)
+    ]
 
 
 def _fans(faces: Iterable[Sequence[int]]) -> Integers:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +85,13 @@ class Peaks(Shown):
 
     def __len__(self) -> int:
         return int(self.row.shape[0])
+
+    def some(self, which: Integers | Flags, **changed: Any) -> Peaks:
+        """Give some of the peaks of lines, by their numbers or a mask; `changed` fields instead of theirs."""
+        names = ("row", "x_px", "x_std_px", "amplitude", "background", "width_px", "flags")
+        kept = {name: getattr(self, name)[which] for name in names}
+        family = None if self.family is None else self.family[which]
+        return replace(self, **{**kept, "family": family, **changed})
 
 
 BELT = 0

@@ -114,3 +114,13 @@ def test_the_bent_one_is_told_by_its_outline_alone(pipeline: Pipeline) -> None:
     assert grade.label == "unknown"
     assert grade.reasons[0].code == "no-such-feature"
     assert "convexity" in grade.reasons[0].text
+
+
+@pytest.mark.parametrize(("pattern", "within"), [("circles", 0.006), ("two_colours", 0.004)])
+def test_potatoes_under_other_patterns_are_measured_in_their_intervals(pattern: str, within: float) -> None:
+    found = Recipe.load(HOME / f"potato_{pattern}", sets=["sinks=[]"]).run()
+    for product, true_mm3 in zip(found, (122865.2, 105596.6), strict=True):
+        assert product.volume is not None
+        volume = product.volume.visible_mm3
+        assert abs(volume.value - true_mm3) < within * true_mm3
+        assert volume.interval[0] < true_mm3 < volume.interval[1]

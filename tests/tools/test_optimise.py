@@ -17,7 +17,7 @@ from roemetry.stages.registry import discover
 from roemetry_tools.compare.data import Data
 from roemetry_tools.compare.score import Pair, Scored
 from roemetry_tools.compare.variants import Space, Variant
-from roemetry_tools.optimise.search import Search, Trial, Trueness, field_of, finalists, front_of
+from roemetry_tools.optimise import Search, Trial, Trueness, field_of, finalists, front_of
 from tests.command import exit_code
 from tests.tools.compare.conftest import dataset
 

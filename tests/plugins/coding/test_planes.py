@@ -10,7 +10,6 @@ import pytest
 
 from benchmarks import coded
 from roemetry.errors import StageError
-from roemetry.records import Peaks
 from roemetry.testing.scenes import LinearRig, wrong_labels
 from roemetry_coding.planes import Planes, PlanesOptions, epipolar_lines, margin_of
 from roemetry_coding.planes.decide import _never_followed
@@ -154,19 +153,14 @@ def test_a_wedge_over_the_next_rest_line_is_not_shifted(seed: int) -> None:
     assert found.longest_wrong_run <= 3
 
 
-def _only(peaks: Peaks, kept: np.ndarray) -> Peaks:
-    names = ("row", "x_px", "x_std_px", "amplitude", "background", "width_px", "flags")
-    return replace(peaks, **{name: getattr(peaks, name)[kept] for name in names})
-
-
 def test_a_stripe_whose_faint_belt_is_found_in_every_other_row_is_there(dense) -> None:
     """Its pieces are too short to be followed; taken for dead, it put the body under it two stripes off."""
     peaks, last = dense.peaks, dense.calibration.stripe_count - 1
     rest = calibrated_rest_lines(peaks, dense.calibration)
-    faint = _only(peaks, (rest.line != last) | (peaks.row % 2 == 0))
+    faint = peaks.some((rest.line != last) | (peaks.row % 2 == 0))
     problem = build_problem(faint, dense.calibration, calibrated_rest_lines(faint, dense.calibration), 2.0)
     assert problem.there[last] == 1.0
-    gone = _only(peaks, rest.line != last)
+    gone = peaks.some(rest.line != last)
     problem = build_problem(gone, dense.calibration, calibrated_rest_lines(gone, dense.calibration), 2.0)
     assert problem.there[last] == 0.0
 

@@ -108,6 +108,12 @@ def test_a_short_run_keeps_its_line_where_its_trace_begins_or_ends_with_it() -> 
     np.testing.assert_array_equal(found, alone)
 
 
+def entries_of(start: np.ndarray, count: int) -> Entries:
+    """Give entries of lines, one unit from each to the next, of no pieces."""
+    none = np.full(count, -1)
+    return Entries(start, np.arange(count), np.arange(float(count)), none, none, np.zeros(count))
+
+
 @pytest.mark.parametrize(("denied", "doubted"), [(0, False), (4, False), (8, True), (40, True)])
 def test_a_body_may_not_leave_out_belt_of_its_own_stripes(denied: int, doubted: bool) -> None:
     """Each of 60 lines holds two stripes of a body, and some amid it the belt of the second, left out."""
@@ -117,11 +123,7 @@ def test_a_body_may_not_leave_out_belt_of_its_own_stripes(denied: int, doubted: 
     line = np.where(order == 2, 2, -1)
     amid = (lines >= 10) & (lines < 10 + denied)
     line[(order == 2) & ~np.repeat(amid, 3)] = 5  # of a stripe that the body has not
-    none = np.full(order.size, -1)
-    entries = Entries(
-        np.arange(0, order.size + 1, 3), np.arange(order.size), np.arange(float(order.size)), none, none,
-        np.zeros(order.size),
-    )  # fmt: skip
+    entries = entries_of(np.arange(0, order.size + 1, 3), order.size)
     body = np.where(order == 2, 0, 1)
     found = denies_belt(entries, line, stripe, body, np.ones(body.size))
     np.testing.assert_array_equal(found, doubted & (body == 1))
@@ -130,11 +132,7 @@ def test_a_body_may_not_leave_out_belt_of_its_own_stripes(denied: int, doubted: 
 def test_belt_of_another_bodys_stripe_is_no_doubt() -> None:
     """Two bodies; the belt that is left out is of a stripe which only the second one has."""
     stripe, line, body = np.tile([1, 4, -1], 20), np.tile([-1, -1, 4], 20), np.tile([1, 2, 0], 20)
-    none = np.full(stripe.size, -1)
-    entries = Entries(
-        np.arange(0, stripe.size + 1, 3), np.arange(stripe.size), np.arange(float(stripe.size)), none, none,
-        np.zeros(stripe.size),
-    )  # fmt: skip
+    entries = entries_of(np.arange(0, stripe.size + 1, 3), stripe.size)
     np.testing.assert_array_equal(denies_belt(entries, line, stripe, body, np.ones(body.size)), body == 2)
 
 
@@ -154,10 +152,7 @@ def test_light_over_a_bodys_edge_is_no_doubt() -> None:
                 line.append(s)
         start.append(len(stripe))
     said, on = np.array(stripe), np.array(line)
-    none = np.full(said.size, -1)
-    entries = Entries(
-        np.array(start), np.arange(said.size), np.arange(float(said.size)), none, none, np.zeros(said.size)
-    )
+    entries = entries_of(np.array(start), said.size)
     assert not denies_belt(entries, on, said, np.where(said >= 0, 1, 0), np.ones(said.size)).any()
 
 
@@ -168,11 +163,7 @@ def test_light_that_came_through_the_body_is_refused_and_the_body_is_not(share: 
     stripe, body = np.tile([1, -1], 40), np.tile([1, 0], 40)
     line = np.where((body == 0) & np.repeat((lines >= 26) & (lines < 36), 2), 1, -1)
     amplitude = np.where((body == 1) & np.repeat(lines >= 26, 2), share, 1.0)
-    none = np.full(body.size, -1)
-    entries = Entries(
-        np.arange(0, body.size + 1, 2), np.arange(body.size), np.arange(float(body.size)), none, none,
-        np.zeros(body.size),
-    )  # fmt: skip
+    entries = entries_of(np.arange(0, body.size + 1, 2), body.size)
     refused = (amplitude < 1.0) if glows else (body == 1)
     np.testing.assert_array_equal(denies_belt(entries, line, stripe, body, amplitude), refused)
 

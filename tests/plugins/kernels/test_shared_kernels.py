@@ -15,7 +15,7 @@ from roemetry_kernels.bridging import off_belt_and_bridged
 from roemetry_kernels.image_levels import median_of, nth_smallest, quantile_of
 from roemetry_kernels.rest_lines import _scatter, calibrated_rest_lines
 from roemetry_kernels.robust_fit import robust_fit
-from roemetry_kernels.steep_steps import count_steps
+from roemetry_peaks.searching import count_steps
 
 ROWS, TOLERANCE_PX, REACH_PX, GAP_ROWS = 120, 1.0, 3.0, 20
 ON = slice(30, 90)

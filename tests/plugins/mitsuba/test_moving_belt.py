@@ -17,8 +17,7 @@ pytestmark = pytest.mark.skipif(
 
 from roemetry_mitsuba.light import Lamps, Lens, Material, Tracer  # noqa: E402
 from roemetry_mitsuba.materials import dipole_of  # noqa: E402
-from roemetry_mitsuba.moving_belt import MitsubaBelt, MitsubaBeltOptions  # noqa: E402
-from roemetry_mitsuba.moving_light import MovingTracer  # noqa: E402
+from roemetry_mitsuba.moving_belt import MitsubaBelt, MitsubaBeltOptions, MovingTracer  # noqa: E402
 
 RIG: dict[str, Any] = {
     "camera": {

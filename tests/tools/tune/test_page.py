@@ -112,7 +112,7 @@ def test_what_is_moved_exchanged_or_wrong_is_to_be_seen_and_can_be_taken_back(be
     assert page.locator("#stale").is_hidden()
     plugin = page.get_by_label("extractor: plugin")
     bench.after(lambda: plugin.select_option("log-parabola"))
-    assert page.locator("#extractor-points").input_value() == "five"
+    assert page.locator("#extractor-width_max_px").input_value() == "40"
     assert page.get_by_role("button", name="auto").first.get_attribute("aria-pressed") == "true"
     bench.after(lambda: plugin.select_option("dominant-peak"))
     assert threshold.input_value() == "70", "what was set comes back"
