@@ -1,6 +1,6 @@
 """Error of every volume estimator on simulated products: the tables of docs/measurements/volume.md.
 
-``python -m benchmarks volume [--first 80000] [--count 100] [--images 0] [--page FILE]
+``python -m benchmarks volume [--first 80000] [--count 100] [--meshes 10] [--images 0] [--page FILE]
 [--jobs 1] [--cluster ADDRESS]``
 
 Every product has a rig of its own. Stripes are traced exactly, 41 at a time, and thinned to fewer; outlines
@@ -35,6 +35,7 @@ from benchmarks.volume_scenes import (
 from roemetry.errors import RoemetryError
 from roemetry.records.arrays import Floats
 from roemetry.stages import VolumeEstimator
+from roemetry_open3d.surface_mesh import SurfaceMesh
 from roemetry_paper.zero_order_hold import ZeroOrderHold
 from roemetry_simulate.products import PRODUCTS
 from roemetry_simulate.products.family import Pose, draw_pose, random_of
@@ -50,6 +51,8 @@ ESTIMATORS: Mapping[str, VolumeEstimator[Any]] = {
     "slice-pchip": SlicePchip(),
     "outline-surface": OutlineSurface(),
 }
+MESHES: Mapping[str, VolumeEstimator[Any]] = {"surface-mesh": SurfaceMesh()}
+"""Hundreds of times as slow: measured on the first skeins only."""
 STEPS = {41: 1, 21: 2, 11: 4, 6: 8, 5: 10, 3: 20}
 """How many stripes remain when each so many of 41 is kept."""
 K = 1.96
@@ -96,6 +99,7 @@ def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--first", type=int, default=80000, help="first seed of skein and rig")
     parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--meshes", type=int, default=10, help="skeins to lay meshes through, the first ones")
     parser.add_argument("--images", type=int, default=0, help="skeins to render")
     parser.add_argument("--images-from", type=int, default=120000, help="first seed of those")
     parser.add_argument("--bodies", type=int, default=99001, help="first seed of the known bodies' rigs")
@@ -113,7 +117,7 @@ def main() -> None:
     def seeds(first: int, count: int) -> range:
         return range(first, first + count)
 
-    skeins = each(_of_skein, (), seeds(given.first, given.count))
+    skeins = each(_of_skein, (given.first + given.meshes,), seeds(given.first, given.count))
     rows, shares = [row for some, _ in skeins for row in some], [share for _, share in skeins]
     pictures = sum(each(from_images, (given.cache,), seeds(given.images_from, given.images)), list[Row]())
     bodies = [(name, seed) for name in BODIES for seed in seeds(given.bodies, given.rigs)]
@@ -122,7 +126,7 @@ def main() -> None:
     foreign = sum(each(_of_other, (), theirs), list[Row]())
     stated = [name for name in ESTIMATORS if name != "zero-order-hold"]
     parts = {
-        "eleven stripes": judged([row for row in rows if row.of == "11"]),
+        "eleven stripes": judged([row for row in rows if row.of in ("11", "meshes")]),
         "how many stripes": briefs(rows, [str(count) for count in STEPS], stated, "stripes"),
         "known bodies": briefs(known, list(BODIES), list(_OF_BODIES), "body"),
         "the other simulator's bodies": briefs(foreign, OTHERS, list(_OF_BODIES), "family"),
@@ -149,7 +153,7 @@ def measure(label: str, one: Exact, estimators: Mapping[str, VolumeEstimator[Any
     return rows
 
 
-def _of_skein(seed: int) -> tuple[list[Row], tuple[float, float, float]]:
+def _of_skein(meshes_until: int, seed: int) -> tuple[list[Row], tuple[float, float, float]]:
     """Measure a skein with fewer and fewer stripes; of eleven error, std, true by visible."""
     whole, rows = exact_skein(seed, 41), list[Row]()
     share = (math.nan, math.nan, math.nan)
@@ -157,6 +161,8 @@ def _of_skein(seed: int) -> tuple[list[Row], tuple[float, float, float]]:
         rows += measure(str(stripes), thinned(whole, step), ESTIMATORS)
         if stripes == 11:
             share = (1.0 + rows[-1].error, rows[-1].std, whole.true_mm3 / whole.visible_mm3)
+        if stripes == 11 and seed < meshes_until:
+            rows += measure("meshes", thinned(whole, step), MESHES)
     return rows, share
 
 

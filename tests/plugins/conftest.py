@@ -7,7 +7,7 @@ import re
 import pytest
 
 SLOW = re.compile(
-    r"\[(planner/|calibrator/pinhole-|simulator/mitsuba|simulator/moving-belt).*"
+    r"\[(planner/|calibrator/pinhole-|simulator/mitsuba|simulator/moving-belt|volume/surface-mesh).*"
     r"check_(threads_agree|keeps_nothing_between_calls|crosses_to_another_process)\]"
 )
 """Each calls a stage that takes a second three to six times; that a stage gives the same result twice and
