@@ -84,6 +84,7 @@ class RowExtractor(Extractor[OptionsT]):
         """Say for certain that all lines differ, by a few compiled comparisons."""
         return lines_differ(pixels)
 
+
 _BAND = 16  # rows that are looked at together: what is found in a column of them fits into a byte
 _WORD = 8  # columns that are asked at once whether one of them is lit
 
