@@ -58,6 +58,7 @@ class WindowTrackingOptions(BridgingOptions):
     stripe_count: int | None = Field(
         default=None, ge=1, description="stripes to expect; default: as the calibration says, else as seen"
     )
+    smallest_area_px: int = Field(default=10, ge=1, description="fragments with fewer peaks are noise")
     hidden: Literal["anywhere", "facing-light"] = Field(
         default="anywhere",
         description="where bodies may be hidden or lost. facing-light: only on the flank that faces the "
@@ -71,7 +72,6 @@ class WindowTrackingOptions(BridgingOptions):
     )
 
 
-_SMALLEST_AREA_PX = 10  # fragments with fewer peaks are noise; the size is not in the print
 _END_ROWS = 12
 """Rows at the image's ends within which a belt segment must begin: a skein never reaches so far."""
 _DARK_ROWS_MAX = 20
@@ -165,7 +165,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         # what is certainly belt anchors everything else
         belt = belt_of(peaks, fragment, fragments, line, rest.x_px.shape[0])
         refuse_bare_lines(belt.live.size > 0, rest.x_px.shape[0])
-        small = np.bincount(fragment, minlength=fragments) < _SMALLEST_AREA_PX
+        small = np.bincount(fragment, minlength=fragments) < self.options.smallest_area_px
         # belt is kept however short: it is known by its place, not by its length
         noise = small[belt.fragment] & ~belt.anchored
         low, high = _displacements(rest, belt.live, calibration)
@@ -189,7 +189,7 @@ class WindowTracking(Coder[WindowTrackingOptions]):
         """Give each traced piece a number of its own, left to right: nothing says which are one stripe."""
         rows = np.bincount(fragment, minlength=fragments)
         place = np.bincount(fragment, weights=peaks.x_px, minlength=fragments) / rows
-        big = np.flatnonzero(rows >= _SMALLEST_AREA_PX)
+        big = np.flatnonzero(rows >= self.options.smallest_area_px)
         if not big.size:
             raise StageError("what was found in the image is too small to be stripes")
         # many small pieces, or most peaks in none: speckle on a plain image

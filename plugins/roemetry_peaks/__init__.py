@@ -14,7 +14,7 @@ def roemetry_stages() -> Iterable[StageEntry]:
         kind="extractor",
         name="log-parabola",
         target="roemetry_peaks.log_parabola:LogParabola",
-        summary="Top of the parabola through the logarithms of five pixels: the fastest",
+        summary="Top of the parabola through the logarithms of three or five pixels: the fastest",
         reference="Fisher, Naidu (1996), A comparison of algorithms for subpixel peak detection",
     )
     yield StageEntry(

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats
@@ -34,17 +35,29 @@ from roemetry_peaks.speckle_contrast import PIXELS_MAX, variance_of
 _BEYOND_LINEAR = 3.5  # see `roemetry_peaks.finding.found`; found by drawing
 
 
-class CentreOfGravity(RowExtractor[PeakOptions]):
+class CentreOfGravityOptions(PeakOptions):
+    """Options of `CentreOfGravity`."""
+
+    reach_sigmas: float = Field(
+        default=2.5,
+        ge=1.5,
+        le=4.0,
+        description="what is summed over, to both sides of the centre: standard deviations of the stripe",
+    )
+
+
+class CentreOfGravity(RowExtractor[CentreOfGravityOptions]):
     """Takes the centre of gravity of the grey levels above the background, in a window around it."""
 
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        return found(frame, self.options, centres_of_gravity, beyond_linear=_BEYOND_LINEAR)
+        return found(
+            frame, self.options, centres_of_gravity, self.options.reach_sigmas, beyond_linear=_BEYOND_LINEAR
+        )
 
 
-_REACH_SIGMAS = 2.5  # what is summed over, to both sides of the centre: standard deviations of the stripe
 _PASSES = 3  # of the window around the centre of the pass before
 _SIGMAS_MIN = 0.75  # what is left of a window at the border: less says next to nothing
 
@@ -66,20 +79,36 @@ def centres_of_gravity(
     contrast2: Floats,
     x_px: Floats,
     x_std_px: Floats,
+    sigmas: float,
 ) -> None:
     """Measure stripes by their centre of gravity, in a window that is moved until the centre is its middle.
 
-    The parameters are those of `roemetry_peaks.gaussian.gaussian_centres`.
+    Parameters
+    ----------
+    levels, columns
+        Grey levels, row after row, and the length of a row.
+    s
+        Stripes, as `roemetry_peaks.peak_window.stripes_around` gave them.
+    white
+        Grey level from which on a pixel is saturated.
+    noise
+        As for `roemetry_peaks.speckle_contrast.variance_of`.
+    contrast2
+        (peak,) square of the speckle's contrast, or (1,) that of all.
+    x_px, x_std_px
+        (peak,) to be filled; `x_px` is NaN where there is no result, `x_std_px` where the sensor is unknown.
+    sigmas
+        What is summed over, to both sides: standard deviations of the stripe.
     """
     pull, light = np.empty(PIXELS_MAX), np.empty(PIXELS_MAX)
     each = contrast2.shape[0] > 1
-    whole = _follows(_REACH_SIGMAS)
+    whole = _follows(sigmas)
     row, los, his, flags, middles, widths, _, backgrounds, slopes, unsures = s
     for i in range(row.shape[0]):
         begins = row[i] * columns
         lo, hi = los[i], his[i]
         middle, background, slope = middles[i], backgrounds[i], slopes[i]
-        reach = _REACH_SIGMAS * widths[i] / FWHM_OF_SIGMA
+        reach = sigmas * widths[i] / FWHM_OF_SIGMA
         centre, follows = middle, whole
         if flags[i] & EDGE:
             # The border leaves less of one side: as much is taken of the other one.

@@ -28,8 +28,7 @@ from roemetry.records.arrays import Floats, Integers
 from roemetry.records.view import STEEP_MAX
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.tracing import trace_fragments
-from roemetry_peaks.finding import PeakOptions
-from roemetry_peaks.gaussian import Gaussian
+from roemetry_peaks.gaussian import Gaussian, GaussianOptions
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA
 
 _STEP_PX = 3.0
@@ -69,7 +68,7 @@ class CircleCurves(Extractor[CircleCurvesOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find where circles cross the rows of a frame."""
         given = self.options
-        peaks = Gaussian(PeakOptions(threshold=given.threshold, width_max_px=given.width_max_px)).extract(
+        peaks = Gaussian(GaussianOptions(threshold=given.threshold, width_max_px=given.width_max_px)).extract(
             frame
         )
         piece, _ = trace_fragments(peaks.row_start, peaks.x_px, _STEP_PX)

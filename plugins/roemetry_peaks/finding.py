@@ -69,7 +69,7 @@ def found(
     frame: Frame,
     options: PeakOptions,
     centres: Callable[..., None],
-    *,
+    *settings: Any,
     weighs_speckle: bool = False,
     beyond_linear: float = 0.0,
     checked: bool = True,
@@ -83,7 +83,9 @@ def found(
     options
         What counts as a stripe.
     centres
-        Kernel with the parameters of `roemetry_peaks.gaussian.gaussian_centres`.
+        Kernel with the parameters of `roemetry_peaks.centre_of_gravity.centres_of_gravity`.
+    settings
+        What else the kernel takes.
     weighs_speckle
         Whether the centres depend on the speckle's contrast, and not only what is stated of them.
     beyond_linear
@@ -111,7 +113,7 @@ def found(
         contrast2 *= 1.0 + beyond_linear * contrast2
     else:  # quicker on one number
         contrast2[0] *= 1.0 + beyond_linear * float(contrast2[0])
-    centres(levels, columns, stripes, frame.highest, noise, contrast2, x_px, x_std_px)
+    centres(levels, columns, stripes, frame.highest, noise, contrast2, x_px, x_std_px, *settings)
     outside, clipped = outside_or_clipped(x_px, stripes.flags, columns)
     if clipped:
         middles_of_clipped(stripes, noise, contrast2, x_px, x_std_px)

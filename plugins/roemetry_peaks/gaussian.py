@@ -38,7 +38,11 @@ from roemetry_peaks.speckle_contrast import LAGS, PIXELS_MAX, bell, fading
 _BEYOND_LINEAR = 7.0  # see `roemetry_peaks.finding.found`; found by drawing
 
 
-class Gaussian(RowExtractor[PeakOptions]):
+class GaussianOptions(PeakOptions):
+    """Options of `Gaussian`."""
+
+
+class Gaussian(RowExtractor[GaussianOptions]):
     """Fits a Gaussian by weighted least squares on the logarithms of the grey levels."""
 
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
@@ -48,7 +52,7 @@ class Gaussian(RowExtractor[PeakOptions]):
         return gaussian_peaks(frame, self.options)
 
 
-def gaussian_peaks(frame: Frame, options: PeakOptions, *, checked: bool = True) -> Peaks:
+def gaussian_peaks(frame: Frame, options: GaussianOptions, *, checked: bool = True) -> Peaks:
     """Find the stripes of a frame; `checked` as for `roemetry_peaks.finding.found`."""
     return found(
         frame, options, gaussian_centres, weighs_speckle=True, beyond_linear=_BEYOND_LINEAR, checked=checked

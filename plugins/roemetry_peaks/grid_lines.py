@@ -30,8 +30,8 @@ from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Flags, Floats, Integers
 from roemetry.stages import Capabilities, Extractor, StageOptions
 from roemetry_kernels.compiling import float_kernel, inlined, kernel
-from roemetry_peaks.finding import PeakOptions, found
-from roemetry_peaks.gaussian import gaussian_peaks
+from roemetry_peaks.finding import found
+from roemetry_peaks.gaussian import GaussianOptions, gaussian_peaks
 from roemetry_peaks.peak_window import FWHM_OF_SIGMA, Stripes
 
 _FINE_PX = 1.0
@@ -92,7 +92,7 @@ class GridLines(Extractor[GridLinesOptions]):
     def extract(self, frame: Frame) -> Peaks:
         """Find the lines of a frame; those across in `Peaks.across`."""
         given = self.options
-        options = PeakOptions(threshold=given.threshold, width_max_px=given.width_max_px)
+        options = GaussianOptions(threshold=given.threshold, width_max_px=given.width_max_px)
         frames = (frame, turned(frame))
         # nothing of this first time is kept but the light that it takes away: middles are near enough
         upright, across = (
@@ -341,7 +341,7 @@ def _clipped_at(pixels: Any, light: Floats, row: Integers, column: Integers, whi
 
 
 def _without(
-    options: PeakOptions, frame: Frame, light: Floats, *, checked: bool
+    options: GaussianOptions, frame: Frame, light: Floats, *, checked: bool
 ) -> tuple[Peaks, Flags, Flags]:
     """Measure the lines that are left when the other family's light is taken away.
 

@@ -1,10 +1,10 @@
-"""The parabola through the logarithms of five pixels at each stripe's top.
+"""The parabola through the logarithms of three or five pixels at each stripe's top.
 
 Model. The logarithm of a Gaussian is a parabola; through pixels on equal steps, least squares are sums,
 
     c₁ = Σ p_j ln y_j,   c₂ = Σ q_j ln y_j,   x₀ = pixel − c₁ / (2 c₂),
 
-with p = j/10 and q = (j² − 2)/14, j = −2 … 2, and y the light above the background. All
+with p = j/10 and q = (j² − 2)/14 for five pixels, j = −2 … 2, and y the light above the background. All
 weigh the same: that is what makes it quick, and noisier than `gaussian`, since dark pixels' logarithms
 scatter most.
 
@@ -26,7 +26,10 @@ vector instructions.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
+from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats
@@ -42,21 +45,25 @@ from roemetry_peaks.speckle_contrast import variance_of_middle
 _BEYOND_LINEAR = 3.0  # see `roemetry_peaks.finding.found`; found by drawing
 
 
-class LogParabola(RowExtractor[PeakOptions]):
-    """Takes the top of the parabola through the logarithms of five pixels."""
+class LogParabolaOptions(PeakOptions):
+    """Options of `LogParabola`."""
+
+    points: Literal["three", "five"] = Field(default="five", description="pixels the parabola goes through")
+
+
+class LogParabola(RowExtractor[LogParabolaOptions]):
+    """Takes the top of the parabola through the logarithms of three or five pixels."""
 
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        return found(frame, self.options, log_parabola_centres, beyond_linear=_BEYOND_LINEAR)
+        points = 3 if self.options.points == "three" else 5
+        return found(frame, self.options, log_parabola_centres, points, beyond_linear=_BEYOND_LINEAR)
 
 
-_BY_1 = (np.arange(5) - 2.0) / 10.0
-_BY_2 = ((np.arange(5) - 2.0) ** 2 - 2.0) / 14.0
-"""p and q of the model above."""
 LANES = 64  # stripes side by side
-_ASTRAY_PX = 1.5  # from the middle pixel: a top that lies farther is noise
+_ASTRAY = 0.5  # of the pixels' reach, and 0.5 px more: a top farther from the middle pixel is noise
 _BELIEVED_PX = 1.0  # what a top may be off at most by chance: it is one of few pixels
 _DARKEST = 0.001  # grey levels above the background that anything darker is taken for
 _STEEPEST = 10.0  # 1/grey levels: the logarithm's slope is taken for no more
@@ -78,13 +85,22 @@ def log_parabola_centres(
     contrast2: Floats,
     x_px: Floats,
     x_std_px: Floats,
+    points: int,
 ) -> None:
-    """Take the top of the least-squares parabola through the logarithms of five pixels.
+    """Take the top of the least-squares parabola through the logarithms of `points` pixels (3 or 5).
 
-    They lie around the pixel nearest to the middle of the half-height crossings. Where one of them is
-    saturated or too near to a neighbouring stripe, and where the parabola has no top near by, that middle is
-    the centre. The parameters are those of `roemetry_peaks.gaussian.gaussian_centres`.
+    They lie around the pixel nearest to the middle of the half-height crossings; of 3, around the highest
+    of that one and its two neighbours. Where one of them is saturated or too near to a neighbouring stripe,
+    and where the parabola has no top near by, that middle is the centre. The other parameters
+    are those of `roemetry_peaks.gaussian.gaussian_centres`.
     """
+    # Least squares on equal steps: c1 = Σ by_1·log, c2 = Σ by_2·log; of five pixels three may count.
+    by_1, by_2 = np.zeros(5), np.zeros(5)
+    half = points // 2
+    for j in range(2 - half, 3 + half):
+        u = j - 2.0
+        by_1[j] = u / (2.0 if half == 1 else 10.0)
+        by_2[j] = (u * u - (2.0 / 3.0 if half == 1 else 2.0)) / (2.0 / 3.0 if half == 1 else 14.0)
     alike = np.exp(-0.25 * (np.arange(5) / noise[2]) ** 2)
     v = np.ones(_TABLE)
     v[_CONTRAST2 : _CONTRAST2 + LANES] = contrast2[0]
@@ -107,6 +123,8 @@ def log_parabola_centres(
         # the pixel nearest to the middle
         for k in range(LANES):
             v[_AT + k] = np.floor(v[_MIDDLE + k] + 0.5)
+        if half == 1:
+            _moved_to_highest(levels, columns, v, lanes)
         for k in range(LANES):
             v[_USABLE + k] = 1.0 if v[_AT + k] - 2.0 >= v[_LO + k] and v[_AT + k] + 2.0 <= v[_HI + k] else 0.0
         for k in range(LANES):
@@ -118,9 +136,9 @@ def log_parabola_centres(
             place, step = places[k], steps[k]
             for j in range(np.uint64(5)):
                 v[j * _N + k] = levels[place + step * j]
-        _without_white(v, white)
-        _tops(v, _BY_1, _BY_2)
-        _uncertainties(v, _BY_1, _BY_2, alike, noise)
+        _without_white(v, white, half)
+        _tops(v, by_1, by_2, 0.5 + _ASTRAY * half)
+        _uncertainties(v, by_1, by_2, alike, noise)
         copied(v, _STD, lanes, x_std_px, start)
         begin = np.uint64(start)
         for k in range(np.uint64(lanes)):
@@ -132,8 +150,25 @@ def log_parabola_centres(
 
 
 @inlined
-def _without_white(v: Floats, white: int) -> None:
-    """Leave out lanes of which a pixel is saturated."""
+def _moved_to_highest(levels: Pixels, columns: int, v: Floats, lanes: int) -> None:
+    """Move on to the next pixel where that is higher."""
+    for k in range(lanes):
+        at = int(v[_AT + k])
+        if v[_LO + k] < at < v[_HI + k]:
+            place = int(v[_ROW + k]) * columns + at
+            before, here, after = levels[place - 1], levels[place], levels[place + 1]
+            if max(before, after) > here:
+                v[_AT + k] += 1.0 if after > before else -1.0
+
+
+@inlined
+def _without_white(v: Floats, white: int, half: int) -> None:
+    """Leave out lanes of which a pixel that counts is saturated."""
+    if half == 1:
+        for k in range(LANES):
+            highest = max(max(v[_LEVEL + LANES + k], v[_LEVEL + 2 * LANES + k]), v[_LEVEL + 3 * LANES + k])
+            v[_USABLE + k] = v[_USABLE + k] if highest < white else 0.0
+        return
     for k in range(LANES):
         one = max(v[_LEVEL + k], v[_LEVEL + LANES + k])
         other = max(v[_LEVEL + 3 * LANES + k], v[_LEVEL + 4 * LANES + k])
@@ -142,7 +177,7 @@ def _without_white(v: Floats, white: int) -> None:
 
 
 @inlined
-def _tops(v: Floats, by_1: Floats, by_2: Floats) -> None:
+def _tops(v: Floats, by_1: Floats, by_2: Floats, reach_px: float) -> None:
     """Find the parabolas' tops; where there is none near by, the middle."""
     for j in range(5):
         for k in range(LANES):
@@ -158,7 +193,7 @@ def _tops(v: Floats, by_1: Floats, by_2: Floats) -> None:
         c1 = b0 * l0 + b1 * l1 + b2 * l2 + b3 * l3 + b4 * l4
         c2 = d0 * l0 + d1 * l1 + d2 * l2 + d3 * l3 + d4 * l4
         # a top within reach of the middle pixel
-        good = (v[_USABLE + k] > 0.0) & (c2 < 0.0) & (abs(c1) < -2.0 * c2 * _ASTRAY_PX)
+        good = (v[_USABLE + k] > 0.0) & (c2 < 0.0) & (abs(c1) < -2.0 * c2 * reach_px)
         v[_USABLE + k] = 1.0 if good else 0.0
         v[_X + k] = v[_AT + k] - 0.5 * c1 / c2 if good else v[_MIDDLE + k]
 

@@ -19,8 +19,7 @@ import numpy as np
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Flags
 from roemetry.stages import Capabilities, Extractor
-from roemetry_peaks.finding import PeakOptions
-from roemetry_peaks.gaussian import Gaussian
+from roemetry_peaks.gaussian import Gaussian, GaussianOptions
 
 _NEAR_PX = 2.0
 """Within which light of the other colour has the place of that line: a filter does not move it."""
@@ -31,7 +30,7 @@ _APART_PX = 1e-6
 """Between two peaks at the same place: peaks of a row are in order."""
 
 
-class TwoChannels(Extractor[PeakOptions]):
+class TwoChannels(Extractor[GaussianOptions]):
     """Finds the lines of each family in its channel."""
 
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)

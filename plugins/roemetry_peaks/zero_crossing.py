@@ -16,7 +16,10 @@ Source: Blais, Rioux (1986), Real-time numerical peak detector, Signal Processin
 
 from __future__ import annotations
 
+from typing import Annotated, Literal
+
 import numpy as np
+from pydantic import Field
 
 from roemetry.records import Frame, Peaks
 from roemetry.records.arrays import Floats
@@ -32,14 +35,25 @@ from roemetry_peaks.speckle_contrast import PIXELS_MAX, variance_of
 _BEYOND_LINEAR = 1.0  # see `roemetry_peaks.finding.found`; found by drawing
 
 
-class ZeroCrossing(RowExtractor[PeakOptions]):
+class ZeroCrossingOptions(PeakOptions):
+    """Options of `ZeroCrossing`."""
+
+    half_length: Annotated[int, Field(ge=1, le=64)] | Literal["auto"] = Field(
+        default="auto",
+        description="pixels to each side that the filter sums over; auto: 1.6 standard deviations of "
+        "the stripe",
+    )
+
+
+class ZeroCrossing(RowExtractor[ZeroCrossingOptions]):
     """Finds where the sum of the pixels to the right equals that of those to the left."""
 
     capabilities = Capabilities(tolerance_px=0.05, saturated_tolerance_px=0.1)
 
     def extract(self, frame: Frame) -> Peaks:
         """Find the stripes of a frame."""
-        return found(frame, self.options, zero_crossings, beyond_linear=_BEYOND_LINEAR)
+        half_length = 0 if self.options.half_length == "auto" else self.options.half_length
+        return found(frame, self.options, zero_crossings, half_length, beyond_linear=_BEYOND_LINEAR)
 
 
 _LENGTH_OF_SIGMA = 1.6  # of a half of the filter, over the stripe's standard deviation
@@ -55,19 +69,23 @@ def zero_crossings(
     contrast2: Floats,
     x_px: Floats,
     x_std_px: Floats,
+    half_length: int,
 ) -> None:
     """Find where the sum of the pixels to the right equals the sum of those to the left.
 
-    That is the zero of the derivative, smoothed by a box of 1.6 standard deviations of the stripe to each
-    side (less where the border leaves less), between pixels by a straight line. The background's slope is
-    taken off. The parameters are those of `roemetry_peaks.gaussian.gaussian_centres`.
+    That is the zero of the derivative, smoothed by a box of `half_length` pixels to each side (0: 1.6
+    standard deviations of the stripe; less where the border leaves less), between pixels by a straight line.
+    The background's slope is taken off. The other parameters are those of
+    `roemetry_peaks.gaussian.gaussian_centres`.
     """
     pull, light = np.empty(PIXELS_MAX), np.empty(PIXELS_MAX)
     each = contrast2.shape[0] > 1
     row, los, his, flags, middles, widths, _, backgrounds, slopes, unsures = s
     for i in range(row.shape[0]):
         begins = row[i] * columns
-        half = max(1, int(np.rint(_LENGTH_OF_SIGMA * widths[i] / FWHM_OF_SIGMA)))
+        half = half_length
+        if half == 0:
+            half = max(1, int(np.rint(_LENGTH_OF_SIGMA * widths[i] / FWHM_OF_SIGMA)))
         if flags[i] & EDGE:
             # not beyond the border on either side
             here = int(np.floor(middles[i]))

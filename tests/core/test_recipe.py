@@ -128,8 +128,8 @@ def test_set_changes_and_is_named_in_faults(tmp_path: Path) -> None:
     path.write_text(GOOD, encoding="utf-8")
     changed = Recipe.load(path, sets=["stages.extractor.options.threshold=80"])
     assert changed.stages["extractor"].options.model_dump()["threshold"] == 80
-    reached = Recipe.load(path, sets=["stages.coder.options.smallest_product_points=5"])
-    assert reached.stages["coder"].options.model_dump()["smallest_product_points"] == 5
+    reached = Recipe.load(path, sets=["stages.coder.options.smallest_area_px=5"])
+    assert reached.stages["coder"].options.model_dump()["smallest_area_px"] == 5
     with pytest.raises(ConfigurationError, match="--set stages.extractor.options.threshold=x"):
         Recipe.load(path, sets=["stages.extractor.options.threshold=x"])
     with pytest.raises(ConfigurationError, match="expected key.key=value"):

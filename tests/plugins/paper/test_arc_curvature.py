@@ -131,6 +131,15 @@ def test_limits_are_exclusive(low, high, label):
     assert grade.label == label
 
 
+def test_more_than_one_arc_can_be_asked_for():
+    curve = (0, *circle(60.0, "right"))
+    assert grade_of(curve, henkei_arcs_min=4).label == "henkei"
+    few = grade_of(curve, henkei_arcs_min=5)
+    assert few.label == "good"
+    assert codes(few) == ["few-concave-arcs"]
+    assert "fewer than the 5" in few.reasons[0].text
+
+
 def circle_in_space(scale, **options):
     """The grade of the same concave circle of 60 mm, on a rig of `scale` px for each mm."""
     rows = np.arange(round(100 * scale), round(300 * scale) + 1)
@@ -139,18 +148,33 @@ def circle_in_space(scale, **options):
     return grade_of((0, rows, x), displacement=-scale, mm_per_row=1.0 / scale, **options)
 
 
+@pytest.mark.parametrize("space", ["px", "mm"])
 @pytest.mark.parametrize("scale", [0.5, 1.25, 1.5])
-def test_lengths_in_pixels_are_those_of_the_scale_they_were_chosen_at(scale):
+def test_lengths_in_pixels_are_those_of_the_scale_they_were_chosen_at(scale, space):
     """A flat ellipse: curvature and all lengths scale alike, so arcs and grade are the same."""
-    given = {"radius_max_px": 990.0, "delta_samples": 20}
+    given = {"radius_max_px": 990.0, "delta_samples": 20, "space": space}
     own, blind = circle_in_space(1.0, **given), circle_in_space(scale, **given)
     told = circle_in_space(scale, **given, tuned_at_mm_per_px=1.0)
     assert own.label == told.label == "henkei"
     assert told.features["arcs"] == own.features["arcs"] != blind.features["arcs"]
     assert told.features["arcs_flagged"] == own.features["arcs_flagged"]
-    np.testing.assert_allclose(told.arrows.value, own.arrows.value * scale, rtol=1e-6)
+    expected = own.arrows.value * (scale if space == "px" else 1.0)
+    np.testing.assert_allclose(told.arrows.value, expected, rtol=1e-6)
     same = circle_in_space(1.0, **given, tuned_at_mm_per_px=1.0)
     np.testing.assert_array_equal(same.arrows.value, own.arrows.value)
+
+
+@pytest.mark.parametrize("displacement", [-2.5, 2.5])
+def test_millimetres_are_those_of_the_cross_section(displacement):
+    # A circular dent of radius 20 mm in the cross-section, on a rig of 0.2 mm a row and ±2.5 px/mm.
+    rows, radius_mm = np.arange(160, 241), 20.0
+    z_mm = 20.0 - np.sqrt(radius_mm**2 - (0.2 * (rows - 200)) ** 2)
+    rig = {"displacement": displacement, "mm_per_row": 0.2, "space": "mm", "radius_min_mm": 1.0}
+    grade = grade_of((0, rows, REST_PX + displacement * z_mm), **rig, radius_max_mm=21.0)
+    np.testing.assert_allclose(grade.arrows.value, -radius_mm, atol=1e-6)  # mm
+    assert (grade.label, grade.arrows.unit) == ("henkei", "mm")
+    assert grade.features["smallest_concave_radius_mm"] == pytest.approx(radius_mm, abs=1e-6)  # mm
+    assert grade_of((0, rows, REST_PX + displacement * z_mm), **rig, radius_max_mm=19.9).label == "good"
 
 
 def test_smoothing_is_the_local_quadratic(rng):
@@ -170,7 +194,9 @@ def test_smoothing_is_the_local_quadratic(rng):
     np.testing.assert_allclose(smooth[40:], 300.0, atol=1e-9)  # px
 
 
-@pytest.mark.parametrize("options", [{"smoothing_rows": 4}, {"radius_min_px": 80.0}])
+@pytest.mark.parametrize(
+    "options", [{"smoothing_rows": 4}, {"radius_min_px": 80.0}, {"radius_min_mm": 5.0, "radius_max_mm": 5.0}]
+)
 def test_options_that_contradict_each_other_are_refused(options):
     with pytest.raises(ValidationError):
         ArcCurvatureOptions(**options)

@@ -11,23 +11,23 @@ from scipy.ndimage import gaussian_filter1d
 
 from roemetry.errors import StageError
 from roemetry.records import NOTHING, SATURATED, Frame, StripeMap
-from roemetry_peaks.centre_of_gravity import CentreOfGravity
-from roemetry_peaks.finding import PeakOptions
-from roemetry_peaks.gaussian import Gaussian
+from roemetry_peaks.centre_of_gravity import CentreOfGravity, CentreOfGravityOptions
+from roemetry_peaks.gaussian import Gaussian, GaussianOptions
 from roemetry_peaks.local_polynomial import LocalPolynomial, LocalPolynomialOptions
-from roemetry_peaks.log_parabola import LogParabola
-from roemetry_peaks.zero_crossing import ZeroCrossing
+from roemetry_peaks.log_parabola import LogParabola, LogParabolaOptions
+from roemetry_peaks.zero_crossing import ZeroCrossing, ZeroCrossingOptions
 from tests.plugins.peaks.drawing import GAIN, READ, SENSOR, errors_px, exposed, integrated, rms, speckled
 
 COLUMNS, MIDDLE = 64, 31.5
 
 MADE = {
-    "parabola": lambda **more: LogParabola(PeakOptions(**more)),
-    "gravity": lambda **more: CentreOfGravity(PeakOptions(**more)),
-    "gaussian": lambda **more: Gaussian(PeakOptions(**more)),
-    "crossing": lambda **more: ZeroCrossing(PeakOptions(**more)),
+    "three": lambda **more: LogParabola(LogParabolaOptions(points="three", **more)),
+    "five": lambda **more: LogParabola(LogParabolaOptions(**more)),
+    "gravity": lambda **more: CentreOfGravity(CentreOfGravityOptions(**more)),
+    "gaussian": lambda **more: Gaussian(GaussianOptions(**more)),
+    "crossing": lambda **more: ZeroCrossing(ZeroCrossingOptions(**more)),
 }
-BIAS_PX = {"parabola": 0.003, "gravity": 0.003, "gaussian": 0.003, "crossing": 0.009}
+BIAS_PX = {"three": 0.003, "five": 0.003, "gravity": 0.003, "gaussian": 0.003, "crossing": 0.009}
 """The zero crossing is put on a straight line between two pixels; the derivative is not quite one."""
 
 every = pytest.mark.parametrize("name", MADE)
@@ -67,7 +67,7 @@ def frame(pixels):
 
 @pytest.mark.parametrize(
     ("name", "most"),
-    [("gaussian", 1.06), ("gravity", 1.35), ("crossing", 1.2), ("parabola", 2.0)],
+    [("gaussian", 1.06), ("gravity", 1.35), ("crossing", 1.2), ("five", 2.0), ("three", 5.0)],
 )
 def test_scatter_is_near_the_bound_and_as_stated(name, most, rng):
     centre, sigma, amplitude, pixels = drawn(rng, 20_000)

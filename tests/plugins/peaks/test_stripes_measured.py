@@ -33,8 +33,13 @@ def stripes_of(kind, rng):
 @pytest.mark.parametrize(
     ("kind", "contrast", "each"), [(np.uint8, 0.0, False), (np.uint16, 0.15, False), (np.uint8, 0.15, True)]
 )
-@pytest.mark.parametrize("centres", [gaussian_centres, log_parabola_centres])
-def test_a_stripe_is_measured_the_same_whatever_stands_beside_it(centres, kind, contrast, each, rng):
+@pytest.mark.parametrize(
+    ("centres", "settings"),
+    [(gaussian_centres, ()), (log_parabola_centres, (3,)), (log_parabola_centres, (5,))],
+)
+def test_a_stripe_is_measured_the_same_whatever_stands_beside_it(
+    centres, settings, kind, contrast, each, rng
+):
     image, together, white = stripes_of(kind, rng)
     levels, columns, count = image.reshape(-1), image.shape[1], together.row.shape[0]
     assert count > 1000
@@ -42,12 +47,12 @@ def test_a_stripe_is_measured_the_same_whatever_stands_beside_it(centres, kind, 
     # As one number for all, and as one for each stripe.
     contrast2 = contrast**2 * rng.uniform(0.2, 2.0, count) if each else np.array([contrast**2])
     x_px, x_std_px = np.empty((2, count))
-    centres(levels, columns, together, white, noise, contrast2, x_px, x_std_px)
+    centres(levels, columns, together, white, noise, contrast2, x_px, x_std_px, *settings)
     for i in range(0, count, 13):
         one = Stripes(*(values[i : i + 1] for values in together))
         alone = np.empty((2, 1))
         own = contrast2[i : i + 1] if each else contrast2
-        centres(levels, columns, one, white, noise, own, *alone)
+        centres(levels, columns, one, white, noise, own, *alone, *settings)
         np.testing.assert_allclose(alone[0, 0], x_px[i], atol=1e-9)  # px
         np.testing.assert_allclose(alone[1, 0], x_std_px[i], rtol=1e-9)
 

@@ -11,6 +11,7 @@ import pytest
 from roemetry.records import Outline, Product
 from roemetry.records.view import View
 from roemetry.testing.solids import BOX, DENSE, DENTED, HALF_ELLIPSOID, Solid, product_from, product_of
+from roemetry_paper.arc_curvature import ArcCurvature, ArcCurvatureOptions
 from roemetry_report.relief import relief_panels
 from roemetry_shape.features import shape_features, shape_of
 from roemetry_shape.fuzzy_rules import FuzzyRules, FuzzyRulesOptions
@@ -90,10 +91,12 @@ RULES = {
         {"when": ["not full", "not hollow"], "label": "good"},
     ],
 }
+IN_MM = {"space": "mm", "smoothing_rows": 15, "radius_min_mm": 0.0, "radius_max_mm": 8.0}
 CLASSIFIERS: dict[str, Any] = {
     "limits": ShapeLimits(ShapeLimitsOptions.model_validate({"limits": LIMITS})),
     "rules": FuzzyRules(FuzzyRulesOptions.model_validate(RULES)),
     "learned": Learned(learned_options()),
+    "arcs in mm": ArcCurvature(ArcCurvatureOptions.model_validate(IN_MM)),
 }
 
 
