@@ -133,6 +133,8 @@ def main() -> None:
     given = parser.parse_args()
     asked, parts = (given.seed, given.count, given.images), dict[str, str]()
     if given.rigs:
+        if not {*given.parts.split(",")} <= {"dots", "grid"}:
+            parser.error(f"--rigs takes --parts of dots and grid, not {given.parts}")
         tell(on_fresh_rigs(given.parts.split(","), given.rigs, *asked), PAGE if given.write else None)
         return
     if "grid" in given.parts:

@@ -159,7 +159,7 @@ _BATCH = 16
 _NODE_PX = 4
 """Pitch of the nodes beside the lit band; food's film mirrors a line tens of pixels wide."""
 _BOUNCE_NODES = 2
-"""Every so manieth node gathers light between surfaces: 8 px, below the 2 mm it varies over."""
+"""Spacing, in nodes, of those that gather light between surfaces: 8 px, below the 2 mm it varies over."""
 _REACH = 5.0
 """Of a sheet's deviation: light of e^(−12.5) of the peak, a thousandth of a grey level."""
 

@@ -178,7 +178,7 @@ def _factor(row: Integers, x_px: Floats, x_std_px: Floats, use: Flags) -> float:
         # Near the top and the bottom of the image, where belt is seen most likely.
         to, begin = np.searchsorted(row, [row[0] + _BAND, row[-1] - _BAND])
         bands = slice(0, to), slice(begin, None)
-        if to + row.size - begin >= 2 * _WINDOWS_MIN * _WINDOW:  # else all rows are asked at any rate
+        if to + row.size - begin >= 2 * _WINDOWS_MIN * _WINDOW:  # otherwise all rows are needed
             ratios = np.concatenate(
                 [_windows(row[one], x_px[one], x_px[one], x_std_px[one], use[one], _LAG) for one in bands]
             )

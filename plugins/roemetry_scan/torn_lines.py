@@ -47,7 +47,7 @@ _END_ROWS, _END_SCATTERS = 1.5, 8.0
 _PART_ROWS = 20
 """Rows on end that are a part of a line, whose end counts; fewer may be the end of another one."""
 _GOES_ON = 0.5
-"""Share of the rows between the usual end and a line's own, beyond which the line reaches that end."""
+"""If more of the rows from a line's end to its neighbours' end are seen, the line goes on to that end."""
 _AT_ONCE = 128
 """Lines that are looked at together: copies of all of a long scan's heights are megabytes."""
 _SAMPLED = 64
@@ -93,10 +93,13 @@ def torn_lines(height_mm: Floats, oblique_rows: int) -> Flags:
             clear = told[k, asked[0] : asked[-1] + 1].mean() >= _CLEAR
             found[first + k] |= clear and _longest_run(unseen[k, asked]) >= _ON_END * many[k]
     # first and last rows of lines are looked at in the same way
-    for end in _ends_of_parts(height_mm):
+    first, last = _ends_of_parts(height_mm)
+    for end, is_last in ((first, False), (last, True)):
         for line in np.flatnonzero(_outliers(end)).tolist():
-            usual = float(np.median(end[[line - 2, line - 1, line + 1, line + 2]]))
-            found[line] |= not _goes_on(height_mm[line], usual, float(end[line]))
+            usual_row = round(float(np.median(end[[line - 2, line - 1, line + 1, line + 2]])))
+            end_row = int(end[line])
+            beyond = slice(end_row + 1, usual_row + 1) if is_last else slice(usual_row, end_row)
+            found[line] |= not _goes_on(height_mm[line, beyond])
     return found
 
 
@@ -137,14 +140,13 @@ def _outliers(end: Floats) -> Flags:
     return found
 
 
-def _goes_on(line_mm: Floats, usual_row: float, end_row: float) -> bool:
-    """Say whether a line (row,) is seen out to the usual end, in parts that are too short to count.
+def _goes_on(beyond_mm: Floats) -> bool:
+    """Say whether a line goes on, from its end to its neighbours' ends (row,), in parts too short to count.
 
-    A ball's shadow cuts off the last 18 rows of a plate; where rows are lost, nothing is seen out there.
+    A ball's shadow cuts off the last 18 rows of a plate; where rows are lost, nothing is seen out there. A
+    line that reaches beyond its neighbours has no such rows.
     """
-    low, high = sorted((round(usual_row), round(end_row)))
-    inwards = usual_row < end_row if 2 * end_row < line_mm.size else usual_row > end_row
-    return bool(inwards and np.isfinite(line_mm[low:high]).mean() >= _GOES_ON)
+    return beyond_mm.size > 0 and bool(np.isfinite(beyond_mm).mean() >= _GOES_ON)
 
 
 def _beside(here: Floats, around: list[Floats], limit_mm: float, oblique_rows: int) -> bool:

@@ -542,8 +542,8 @@ def _light_at(image: Image, x: float, y: float) -> float:
     rows, columns = image.shape
     x, y = min(max(x, 0.0), columns - 1.0), min(max(y, 0.0), rows - 1.0)
     # unsigned, which no index from the end can be
-    left, up = np.uint64(min(int(x), columns - 2)), np.uint64(min(int(y), rows - 2))
-    right, down = left + np.uint64(1), up + np.uint64(1)
+    left, up = np.uint64(max(min(int(x), columns - 2), 0)), np.uint64(max(min(int(y), rows - 2), 0))
+    right, down = np.uint64(min(left + 1, columns - 1)), np.uint64(min(up + 1, rows - 1))
     across = x - np.int64(left)
     above = image[up, left] + across * (image[up, right] - image[up, left])
     below = image[down, left] + across * (image[down, right] - image[down, left])

@@ -87,7 +87,10 @@ class Peaks(Shown):
         return int(self.row.shape[0])
 
     def some(self, which: Integers | Flags, **changed: Any) -> Peaks:
-        """Give some of the peaks of lines, by their numbers or a mask; `changed` fields instead of theirs."""
+        """Give some of the peaks of lines, by their numbers or a mask; `changed` fields instead of theirs.
+
+        `across`, a grid's other family, stays whole. Not for dots, which have covariances of their own.
+        """
         names = ("row", "x_px", "x_std_px", "amplitude", "background", "width_px", "flags")
         kept = {name: getattr(self, name)[which] for name in names}
         family = None if self.family is None else self.family[which]

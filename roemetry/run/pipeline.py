@@ -334,6 +334,7 @@ def frame_of(recipe: Recipe, acquisition: Acquisition, *, extractor: Any = None)
     """
     source = recipe.source_choice
     helper = extractor if isinstance(extractor, Extractor) else None
+    lines_differ = not_told if helper is None else helper.lines_differ
     frame = prepare(
         acquisition,
         channel=source.channel,
@@ -343,10 +344,12 @@ def frame_of(recipe: Recipe, acquisition: Acquisition, *, extractor: Any = None)
         subtract=source.subtract,
         bit_depth=source.bit_depth,
         sensor=recipe.sensor,
-        lines_differ=not_told if helper is None else helper.lines_differ,
+        lines_differ=lines_differ,
     )
     # a contrast ends at once where the light is clipped: what the lens drew is in the grey image
-    checked = frame if source.contrast == "none" else prepare(acquisition, turn_deg=0, subtract="none")
+    checked = frame
+    if source.contrast != "none":
+        checked = prepare(acquisition, turn_deg=0, subtract="none", lines_differ=lines_differ)
     check_joins(checked, not_counted if helper is None else helper.count_steps)
     return frame
 

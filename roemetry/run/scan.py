@@ -148,7 +148,7 @@ class _Stack:
     def put(self, place: int, frame: Frame) -> Frame:
         """Copy a frame's pixels to its place, while they are in the cache from being checked.
 
-        Gives the frame with its pixels there: those it came with need no memory any more.
+        Gives the frame with its pixels there, so that the array it came with can be freed.
         """
         if self._room == 1:
             return frame

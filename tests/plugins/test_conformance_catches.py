@@ -88,6 +88,11 @@ class Remembering(Gravity):
         return replace(found, x_px=found.x_px + 1e-9 * self.calls)
 
 
+class Sanguine(Gravity):
+    def lines_differ(self, pixels):
+        return True
+
+
 class LastFrame(Gravity):
     """The same for the same frame twice over; but a threshold learned from the frame before."""
 
@@ -257,6 +262,7 @@ CAUGHT = {
     "check_centres_are_right": SHIFTED,
     "check_centres_are_not_biased": SHIFTED,
     "check_same_input_gives_same_result": Remembering,
+    "check_differing_lines_are_told_for_certain": Sanguine,
     "check_keeps_nothing_between_calls": LastFrame,
     "check_leaves_its_input_alone": given_another(writes),
     "check_leaves_its_input_alone ": given_another(writes_plainly),

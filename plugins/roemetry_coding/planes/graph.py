@@ -23,7 +23,7 @@ heights the one that hides most drops beside the higher place and goes on level 
 is hidden if its light falls behind the higher place as the camera sees it, or on the wall itself where the
 line of sight does not lean so that it would show the wall. Or nothing hides it, the surface goes on and its
 light was lost: that costs a seen stripe, and no break. The cheaper explanation counts. Amid a body either
-costs `amid` more. At an image's borders the stripes that would be seen beyond the outermost label count.
+costs `amid` more. At an image's borders, stripes that would be seen beyond the outermost label are counted.
 
 T, the ties of `lines`, with which neighbouring lines agree.
 

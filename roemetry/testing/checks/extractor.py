@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -180,14 +181,12 @@ def check_steps_are_counted_right(extractor: Extractor[Any]) -> None:
 def check_differing_lines_are_told_for_certain(extractor: Extractor[Any]) -> None:
     """If an extractor says that all lines differ, no row or column repeats another or is of one level."""
     rng = np.random.default_rng(1)
-    noise = rng.integers(0, 256, (400, 320), np.uint8)
-    for axis in (0, 1):
-        for what in ("repeats another", "is of one level"):
-            pixels = noise.copy()
-            lines = pixels if axis == 0 else pixels.T
-            lines[250] = lines[31] if what == "repeats another" else 7
-            kind = ("row", "column")[axis]
-            require(not extractor.lines_differ(pixels), f"a {kind} {what}, and all lines are said to differ")
+    for bits, axis, what in product((8, 16), (0, 1), ("repeats another", "is of one level")):
+        pixels = rng.integers(0, 2**bits, (400, 320), np.dtype(f"u{bits // 8}"))
+        lines = pixels if axis == 0 else pixels.T
+        lines[250] = lines[31] if what == "repeats another" else 7
+        kind = ("row", "column")[axis]
+        require(not extractor.lines_differ(pixels), f"a {kind} {what}, and all lines are said to differ")
 
 
 def check_the_smallest_frames_are_taken(extractor: Extractor[Any]) -> None:

@@ -12,6 +12,7 @@ from roemetry.records import Frame
 from roemetry.run.transport_faults import check_joins
 from roemetry.testing.scenes import LinearRig
 from roemetry_kernels.bridging import off_belt_and_bridged
+from roemetry_kernels.differing_lines import lines_differ
 from roemetry_kernels.image_levels import median_of, nth_smallest, quantile_of
 from roemetry_kernels.rest_lines import _scatter, calibrated_rest_lines
 from roemetry_kernels.robust_fit import robust_fit
@@ -201,3 +202,18 @@ def test_a_fifth_that_lies_far_off_hardly_moves_the_fit(rng: np.random.Generator
     np.testing.assert_allclose(fit, found, rtol=0, atol=1e-10)
     np.testing.assert_allclose(off, left, rtol=0, atol=1e-10)
     np.testing.assert_allclose(weight, expected, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_lines_of_noise_differ_and_those_that_repeat_are_left_to_the_core(kind, axis, rng):
+    noise = rng.integers(0, np.iinfo(kind).max, (400, 320), kind)
+    lines = noise if axis == 0 else noise.T
+    assert lines_differ(noise)
+    assert lines_differ(noise[::-1]) and lines_differ(noise.T.copy())
+    for first, second in rng.integers(0, len(lines), (20, 2)):
+        kept = lines[first].copy()
+        lines[first] = lines[second]
+        assert not lines_differ(noise) or first == second
+        lines[first] = kept
+    assert not lines_differ(noise[:100]) and not lines_differ(noise[:, :4])  # too small to tell

@@ -205,13 +205,21 @@ def test_a_line_that_lost_rows_ends_elsewhere_than_its_neighbours(seen: Scan, lo
     assert estimate.budget["damaged lines"] == pytest.approx(3.0 / len(lines.count) * estimate.value)
 
 
-def test_a_line_whose_last_rows_are_cut_off_by_a_shadow_is_used() -> None:
-    """The plate of `recipes/two_heads`: beside its balls 18 rows were left, fewer than tell a line's end."""
-    height_mm = np.full((41, 120), np.nan)
-    height_mm[:, 10:110] = 0.0
-    height_mm[20, 28:36] = np.nan
+@pytest.mark.parametrize("turned", [False, True], ids=["first-rows", "last-rows"])
+@pytest.mark.parametrize("rows", [120, 400])
+def test_a_line_whose_last_rows_are_cut_off_by_a_shadow_is_used(turned: bool, rows: int) -> None:
+    """The plate of `recipes/two_heads`: beside its balls 18 rows were left, fewer than tell a line's end.
+
+    In 400 rows both ends lie in one half of the image.
+    """
+    height_mm = np.full((41, rows), np.nan)
+    seen = height_mm[:, :120][:, ::-1] if turned else height_mm[:, :120]
+    seen[:, 10:110] = 0.0
+    seen[20, 28:36] = np.nan
     assert not torn_lines(height_mm, 2).any()
-    height_mm[20, 10:28] = np.nan  # nothing is seen out there: the line ends elsewhere
+    seen[20, 10:28] = np.nan  # nothing is seen out there: the line ends elsewhere
+    assert np.flatnonzero(torn_lines(height_mm, 2)).tolist() == [20]
+    seen[20, :110] = 0.0  # it reaches farther than its neighbours
     assert np.flatnonzero(torn_lines(height_mm, 2)).tolist() == [20]
 
 
