@@ -93,8 +93,7 @@ def torn_lines(height_mm: Floats, oblique_rows: int) -> Flags:
             clear = told[k, asked[0] : asked[-1] + 1].mean() >= _CLEAR
             found[first + k] |= clear and _longest_run(unseen[k, asked]) >= _ON_END * many[k]
     # first and last rows of lines are looked at in the same way
-    first, last = _ends_of_parts(height_mm)
-    for end, is_last in ((first, False), (last, True)):
+    for end, is_last in zip(_ends_of_parts(height_mm), (False, True), strict=True):
         for line in np.flatnonzero(_outliers(end)).tolist():
             usual_row = round(float(np.median(end[[line - 2, line - 1, line + 1, line + 2]])))
             end_row = int(end[line])
