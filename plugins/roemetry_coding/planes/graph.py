@@ -22,8 +22,8 @@ Visibility. A stripe left out between two others lies on the surface between the
 heights the one that hides most drops beside the higher place and goes on level at the lower. A stripe there
 is hidden if its light falls behind the higher place as the camera sees it, or on the wall itself where the
 line of sight does not lean so that it would show the wall. Or nothing hides it, the surface goes on and its
-light was lost: that costs a seen stripe, and no break. The cheaper explanation counts. Amid a body either
-costs `amid` more. At an image's borders, stripes that would be seen beyond the outermost label are counted.
+light was lost: that costs a seen stripe, and no break. The cheaper explanation counts. At an image's borders
+the stripes that would be seen beyond the outermost label are counted.
 
 T, the ties of `lines`, with which neighbouring lines agree.
 
@@ -52,10 +52,6 @@ class Weights(NamedTuple):
     """A step of the surface between two stripes by half a label height or more."""
     unseen: float = 4.0
     """A stripe left out that would be seen."""
-    amid: float = 1.0
-    """What it costs amid a body on top of that. A fold hides a stripe on a few lines; if half of a body is
-    one stripe off, one is missing all along the fold. Of 8 folded skeins on three dense path-traced rigs 5
-    are coded with 0, and 7 with 1."""
     false_peak: float = 6.0
     """A peak left out: more than to leave out a stripe, less than to leave out two."""
     faint: float = 0.9
@@ -134,7 +130,7 @@ class PairCosts(NamedTuple):
     surface: NDArray[np.float32]
     unseen: NDArray[np.float32]
     """surface, unseen: (cost,) squared step of the surface in half label heights, at most 1; visible stripes
-    left out, with what they cost amid a body besides."""
+    left out."""
     before: Floats
     after: Floats
     """before, after: (node,) visible stripes left out to the left, and to the right, if this is the first or
@@ -293,8 +289,6 @@ def pair_costs_of(
                             broken = weights.surface * surface[c] + weights.unseen * unseen[c]
                             if weights.surface * whole + weights.unseen * lost < broken:
                                 surface[c], unseen[c] = whole, lost
-                            if not (on_belt[0] or on_belt[1]):
-                                unseen[c] += weights.amid / weights.unseen * min(lost, 1.0)
                         else:
                             unseen[c] = 0.0
                         c += 1

@@ -161,8 +161,7 @@ def build_problem(
     loose = pieces.rest[pieces.of] == ENDS
     belt = pieces.rest[pieces.of] != -1
     entries = entries_of(pieces.trace, pieces.of, loose, belt, lines, u_per_px, ties, lines_apart)
-    # a stripe that is found with probability p, and is not seen, costs −log(1 − p), at most WEIGHTS.unseen;
-    # amid a body `amid` more
+    # a stripe that is found with probability p, and is not seen, costs −log(1 − p); WEIGHTS.unseen at most
     rows, stripes = peaks.image_size[0], presence.shape[1]
     # by the image's top and bottom, where nothing can cover the belt
     outer = math.ceil(OUTER_SHARE * rows)

@@ -13,7 +13,6 @@ from roemetry.errors import StageError
 from roemetry.testing.scenes import LinearRig, wrong_labels
 from roemetry_coding.planes import Planes, PlanesOptions, epipolar_lines, margin_of
 from roemetry_coding.planes.decide import _never_followed
-from roemetry_coding.planes.graph import WEIGHTS, pair_costs_of
 from roemetry_coding.planes.solve import build_problem
 from roemetry_kernels.rest_lines import calibrated_rest_lines
 from roemetry_simulate.solid import Block
@@ -54,36 +53,6 @@ def test_stripes_are_in_order_on_epipolar_lines(dense) -> None:
     same = np.diff(line[known][order]) == 0
     backwards = same & (np.diff(true[known][order]) < 0)
     assert backwards.sum() <= 0.001 * known.sum()
-
-
-def test_a_stripe_left_out_amid_a_body_costs_more_if_it_gives_light(dense) -> None:
-    """By `amid` for one with light, whatever else it costs; no more where a label is belt."""
-    rest = calibrated_rest_lines(dense.peaks, dense.calibration)
-    problem = build_problem(dense.peaks, dense.calibration, rest, 2.0)
-    visible = np.ones_like(problem.visible)
-    visible[:, 10] = 0.0  # a dead stripe
-    belt_mm = np.full(rest.x_px.shape[0], 1.0)
-    entries, candidates = problem.entries, problem.candidates
-    given = entries, candidates, problem.lines, visible, problem.u_per_px, belt_mm
-    costs, without = pair_costs_of(*given, WEIGHTS), pair_costs_of(*given, WEIGHTS._replace(amid=0.0))
-    possible = np.isfinite(without.unseen)
-    more = np.zeros(possible.size)
-    more[possible] = WEIGHTS.unseen * (costs.unseen[possible] - without.unseen[possible])
-    found = set()
-    for left, right, at in costs.pair[:: max(1, len(costs.pair) // 500)]:
-        for k in range(candidates.many[right]):
-            for j in range(candidates.many[left]):
-                stripes = range(candidates.low[left] + j + 1, candidates.low[right] + k)
-                low_mm = min(
-                    abs(candidates.height[candidates.offset[left] + j]),
-                    abs(candidates.height[candidates.offset[right] + k]),
-                )
-                lit = len(stripes) - (10 in stripes)
-                asked = WEIGHTS.amid if lit > 0 and low_mm > 1.0 else 0.0
-                found.add((lit > 0, low_mm > 1.0))
-                if candidates.low[left] + j < candidates.low[right] + k:
-                    assert more[at + k * candidates.many[left] + j] == pytest.approx(asked, abs=1e-4)
-    assert len(found) == 4
 
 
 def test_a_dense_wide_angle_skein(dense) -> None:
