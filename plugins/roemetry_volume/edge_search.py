@@ -541,13 +541,13 @@ def _light_at(image: Image, x: float, y: float) -> float:
     """Give an image between its pixels; beyond its border, the border's."""
     rows, columns = image.shape
     x, y = min(max(x, 0.0), columns - 1.0), min(max(y, 0.0), rows - 1.0)
-    # unsigned, which no index from the end can be
-    left, up = np.uint64(max(min(int(x), columns - 2), 0)), np.uint64(max(min(int(y), rows - 2), 0))
-    right, down = np.uint64(min(left + 1, columns - 1)), np.uint64(min(up + 1, rows - 1))
-    across = x - np.int64(left)
+    i, j = max(min(int(x), columns - 2), 0), max(min(int(y), rows - 2), 0)
+    left, right = np.uint64(i), np.uint64(min(i + 1, columns - 1))  # unsigned: no index from the end
+    up, down = np.uint64(j), np.uint64(min(j + 1, rows - 1))
+    across = x - i
     above = image[up, left] + across * (image[up, right] - image[up, left])
     below = image[down, left] + across * (image[down, right] - image[down, left])
-    return above + (y - np.int64(up)) * (below - above)
+    return above + (y - j) * (below - above)
 
 
 @float_kernel

@@ -202,7 +202,7 @@ class Extractor(Stage[OptionsT]):
         Returns
         -------
         bool
-            False tells nothing: the core looks at the lines itself, in several times the time.
+            False tells nothing: the core looks at the lines itself, which takes longer.
         """
         return False
 

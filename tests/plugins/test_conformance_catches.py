@@ -88,7 +88,7 @@ class Remembering(Gravity):
         return replace(found, x_px=found.x_px + 1e-9 * self.calls)
 
 
-class Sanguine(Gravity):
+class SaysAllDiffer(Gravity):
     def lines_differ(self, pixels):
         return True
 
@@ -262,7 +262,7 @@ CAUGHT = {
     "check_centres_are_right": SHIFTED,
     "check_centres_are_not_biased": SHIFTED,
     "check_same_input_gives_same_result": Remembering,
-    "check_differing_lines_are_told_for_certain": Sanguine,
+    "check_differing_lines_are_told_for_certain": SaysAllDiffer,
     "check_keeps_nothing_between_calls": LastFrame,
     "check_leaves_its_input_alone": given_another(writes),
     "check_leaves_its_input_alone ": given_another(writes_plainly),

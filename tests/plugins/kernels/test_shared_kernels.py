@@ -12,11 +12,10 @@ from roemetry.records import Frame
 from roemetry.run.transport_faults import check_joins
 from roemetry.testing.scenes import LinearRig
 from roemetry_kernels.bridging import off_belt_and_bridged
-from roemetry_kernels.differing_lines import lines_differ
+from roemetry_kernels.frame_checks import count_steps, lines_differ
 from roemetry_kernels.image_levels import median_of, nth_smallest, quantile_of
 from roemetry_kernels.rest_lines import _scatter, calibrated_rest_lines
 from roemetry_kernels.robust_fit import robust_fit
-from roemetry_peaks.searching import count_steps
 
 ROWS, TOLERANCE_PX, REACH_PX, GAP_ROWS = 120, 1.0, 3.0, 20
 ON = slice(30, 90)
